@@ -168,7 +168,9 @@ class DatasetRecorder(Recorder):
         """Return whether armctl has written a part of a dataset: it has a manifest, or its collection is unfinished."""
         unfinished, formats = self.folder / UNFINISHED, load_formats().values()
         names = {name for kind in formats for name in kind.PARTS}
-        if unfinished.exists() and all(one.name in names or _EPISODE.match(one.name) for one in unfinished.iterdir()):
+        if unfinished.exists() and all(
+            path.name in names or _EPISODE.match(path.name) for path in unfinished.iterdir()
+        ):
             return True
         return any(part.name in kind.PARTS and CHECKSUM in _text(self.folder / kind.MANIFEST) for kind in formats)
 

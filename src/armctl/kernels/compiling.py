@@ -1,13 +1,34 @@
 """Compilation of kernels: at the first call, once for each version, into the user's cache folder."""
 
+import contextlib
 import hashlib
 import os
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """Machine code in the cache folder; what is damaged there is compiled again, and a full disk stops nothing."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code for a signature; None if there is none that can be read."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # unpickling damaged data raises anything
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code for a signature, if that can be written."""
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -15,30 +36,39 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     Kernels may call each other, also across files. Their machine code is kept for later processes.
     """
-    previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_FOLDER or "")
-    try:
-        return numba.njit(function, cache=_FOLDER is not None, nogil=True, error_model="numpy")
-    finally:
-        numba.config.CACHE_DIR = previous
+    dispatcher = numba.njit(function, nogil=True, error_model="numpy")
+    if _FOLDER is not None:
+        previous = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(_FOLDER)
+        try:
+            dispatcher._cache = _Cache(function)
+        finally:
+            numba.config.CACHE_DIR = previous
+    return dispatcher
 
 
 def _cache_folder() -> Path | None:
     """Return a folder for the present sources of all kernels, since numba sees changes in a kernel's own file only.
 
-    None if it cannot be written: then each process compiles.
+    It is the user's own, and nobody else may write to it, since code is loaded from it. None if there is no such
+    folder: then each process compiles.
     """
     sources = sorted(Path(__file__).parent.glob("*.py"))
     version = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
     try:
         home = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         folder = Path(home) / "armctl" / f"kernels-{version}"
-        if not folder.exists():
-            folder.mkdir(parents=True, exist_ok=True)
-            print("armctl: compiling its arithmetic, once; this takes some seconds", file=sys.stderr)
-        return folder if os.access(folder, os.W_OK) else None
+        is_new = not folder.exists()
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if folder.stat().st_uid != os.getuid():
+            return None
+        folder.chmod(0o700)
+        tempfile.TemporaryFile(dir=folder).close()
     except (OSError, RuntimeError):  # RuntimeError: no home
         return None
+    if is_new:
+        print("armctl: compiling its arithmetic, once; this takes some seconds", file=sys.stderr)
+    return folder
 
 
 _FOLDER = _cache_folder()
