@@ -116,7 +116,7 @@ def test_mistakes_get_one_clear_error(train, changes, says, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_teacher_of_ones_own(tmp_path, monkeypatch):
+def test_a_teacher_of_ones_own(unexported, tmp_path, monkeypatch):
     (tmp_path / "my_own_teacher.py").write_text(
         "import armctl\n\n\n@armctl.sees('model')\ndef mine(env):\n    return armctl.make_policy('reach_ik', env)\n"
     )

@@ -105,6 +105,7 @@ def test_stages_that_show_ranges_and_the_camera(student, tmp_path):
     assert trained(chosen, tmp_path / "run").training_steps == 128
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -123,6 +124,7 @@ def test_what_it_cannot_start_from_is_refused_before_a_folder_is_made(student, c
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_an_agent_whose_network_is_another_is_refused(student, tmp_path, monkeypatch):
     monkeypatch.setattr(OnnxPolicy, "numbers", {"weights": np.zeros(3)})
     with pytest.raises(ConfigurationError, match=r"with weights network.encoder.1.weight of shape \(8, 11\)"):
