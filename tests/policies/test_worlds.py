@@ -21,7 +21,7 @@ def test_a_policy_without_images_is_spared_lost_images():
 
 def test_lost_images_change_nothing_for_a_policy_without_images():
     plain, spared, blinded = (
-        compare(names, BRIDGE, episodes=2, env_options=options).results
+        compare(names, BRIDGE, episodes=2, env_options={"max_episode_steps": 40} | options).results
         for names, options in (
             (["bridge_state_ppo", "bridge_ppo"], {}),
             (["bridge_state_ppo"], {"disturbances": {"dropout": 0.75}}),
