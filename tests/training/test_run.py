@@ -61,6 +61,7 @@ def trained(tmp_path_factory, sized):
     return folders, list(train_seeds(TrainingJob(RECIPE), folders, Local(sized(1, 2))))
 
 
+@pytest.mark.slow
 def test_each_seed_has_its_agent_and_a_row(trained):
     folders, ended = trained
     assert {one.seed for one in ended} == {0, 1}
@@ -94,6 +95,7 @@ def test_a_clusters_worker_sends_the_same_agent_back(trained, tmp_path, monkeypa
         list(train_seeds(TrainingJob(RECIPE), {1: folder}, InAChild()))
 
 
+@pytest.mark.slow
 def test_a_resumed_job_leaves_out_what_has_finished(trained):
     folders, first = trained
     before = (folders[0].parent / "trials.csv").read_text()
