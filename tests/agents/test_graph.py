@@ -225,6 +225,16 @@ def working_on_constants(name, shapes, **attributes):
     return model_of(nodes, constants=constants)
 
 
+def dividing(divisor, kind=np.int32):
+    """Divides by its own observation, or by a constant: by 0, the processor ends the process."""
+    nodes = [
+        helper.make_node("Cast", ["observation"], ["whole"], to=helper.np_dtype_to_tensor_dtype(np.dtype(kind))),
+        helper.make_node("Div", ["whole", "whole" if divisor is None else "d"], ["ratio"]),
+        helper.make_node("Cast", ["ratio"], ["action"], to=TensorProto.FLOAT),
+    ]
+    return model_of(nodes, constants={"d": np.array(divisor or 0, kind)})
+
+
 def with_function():
     model = model_of([helper.make_node("Twice", ["observation"], ["action"], domain="own")])
     opsets = [helper.make_opsetid("", 20)]
@@ -264,6 +274,7 @@ def of_another_domain():
             "multiplications",
         ),
         (long, "nodes"),
+        *((lambda divisor=divisor: dividing(divisor), "divides whole numbers") for divisor in (None, 0, -1)),
         (lambda: model_of([identity()], shape=("any",)), "not known beforehand"),
     ],
 )
@@ -291,6 +302,13 @@ def test_a_graph_that_is_too_slow(tmp_path, monkeypatch):
     weights = {"w": np.eye(size, dtype=np.float32)}
     with pytest.raises(AgentFileError, match="takes more than"):
         AgentGraph(saved(model_of(nodes, constants=weights, shape=(size,), result=(size,)), tmp_path))
+
+
+@pytest.mark.parametrize(("divisor", "kind"), [(2, np.int32), (2, np.int64), (None, np.float64), (0, np.float32)])
+def test_other_divisions_are_run(divisor, kind, tmp_path):
+    graph = AgentGraph(saved(dividing(divisor, kind), tmp_path))
+    result = graph.run({"observation": np.full((2, 6), 7, np.float32)})[0]
+    assert (result == {2: 3.0, None: 1.0, 0: np.inf}[divisor]).all()
 
 
 def test_what_is_acceptable_computes(tmp_path):

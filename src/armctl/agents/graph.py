@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 import onnxruntime
 from numpy.typing import NDArray
-from onnx import AttributeProto, ModelProto, NodeProto, TensorProto, ValueInfoProto
+from onnx import AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto
 
 from armctl.core.errors import AgentFileError, nearest
 from armctl.core.files import bounded_bytes
@@ -47,6 +47,7 @@ OPERATORS = frozenset({
     "ThresholdedRelu", "Tile", "TopK", "Transpose", "Trilu", "Unsqueeze", "Where", "Xor",
 })  # fmt: skip
 """Operators of agents: without control flow, and for each world alone whatever the number of worlds."""
+FLOATS = {TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.FLOAT16, TensorProto.BFLOAT16}
 SAME_SIZE = {"Flatten", "Identity", "Reshape", "Squeeze", "Transpose", "Unsqueeze"}
 """Operators whose result has as many numbers as their first input."""
 MIXING = {"ReduceMean", "ReduceSum"}
@@ -158,6 +159,7 @@ def _check_sizes(model: ModelProto, path: Path) -> None:
     del two_worlds.graph.value_info[:]  # what the file says of sizes in between
     _check_slices(two_worlds, path)
     graph = _inferred(two_worlds, path).graph
+    _check_divisors(graph, path)
     values = (*graph.input, *graph.value_info, *graph.output)
     shapes = {value.name: _shape(value) for value in values}
     shapes |= {tensor.name: list(tensor.dims) for tensor in graph.initializer}
@@ -180,6 +182,25 @@ def _check_sizes(model: ModelProto, path: Path) -> None:
             f"for two worlds, it computes {numbers:,} numbers with {work:,} multiplications, more than "
             f"{MAX_NUMBERS:,} or {MAX_WORK:,}",
         )
+
+
+def _check_divisors(graph: GraphProto, path: Path) -> None:
+    """Check that whole numbers are divided by positive constants only: by 0 or -1, the processor ends the process."""
+    constants = {tensor.name: tensor for tensor in graph.initializer}
+    constants |= {
+        node.output[0]: attribute.t
+        for node in graph.node
+        if node.op_type == "Constant"
+        for attribute in node.attribute
+        if attribute.name == "value"
+    }
+    types = {value.name: value.type.tensor_type.elem_type for value in (*graph.input, *graph.value_info, *graph.output)}
+    for node in graph.node:
+        if node.op_type != "Div" or types.get(node.output[0]) in FLOATS:
+            continue
+        divisor = constants.get(node.input[1])
+        if divisor is None or not (onnx.numpy_helper.to_array(divisor) > 0).all():
+            raise _refused(path, f"it divides whole numbers by {node.input[1]!r}, which may be 0 or negative")
 
 
 def _work(node: NodeProto, inputs: list[list[int] | None], result: list[int]) -> int:
