@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+import armctl
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
 from armctl.verdict.notes import STUCK_PATH, certificate_notes, motion_notes
@@ -16,6 +17,13 @@ def test_infeasible_episodes_that_were_won_are_reported():
     assert certificate_notes(EpisodeTable(lost)) == []
     (note,) = certificate_notes(EpisodeTable(one for one in won if one.feasible or one.policy == "a"))
     assert note == "2 episodes labelled infeasible were won (2 by a): the certificate is too strict."
+
+
+def test_a_comparison_without_a_feasible_episode_says_so():
+    options = {"target": "box", "target_box": ((3, 3, 3), (4, 4, 4)), "max_episode_steps": 3}
+    comparison = armctl.compare(["reach_ik", "random"], episodes=4, env_options=options)
+    assert not comparison.policies
+    assert any(note.startswith("All 4 episodes are labelled infeasible") for note in comparison.notes)
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,17 @@ does not win, commands next to nothing. Targets are farther than 1 cm, and even 
 
 
 def certificate_notes(results: EpisodeTable) -> list[str]:
-    """Return a remark if policies won episodes that are labelled infeasible, which do not count for them."""
+    """Return remarks if policies won episodes that are labelled infeasible, and if all episodes are infeasible."""
+    notes = []
+    if len(results) and not results.column("feasible").any():
+        count = len(np.unique(results.column("episode")))
+        notes.append(f"All {count} episodes are labelled infeasible: none of them counts, and nothing can be compared.")
     won = results[results.won & ~results.column("feasible")]
     if not won:
-        return []
+        return notes
     by = ", ".join(f"{len(table)} by {name}" for name, table in won.by_policy().items())
     episodes = len(np.unique(won.column("episode")))
-    return [f"{episodes} episodes labelled infeasible were won ({by}): the certificate is too strict."]
+    return [*notes, f"{episodes} episodes labelled infeasible were won ({by}): the certificate is too strict."]
 
 
 def motion_notes(results: EpisodeTable, control_period: float | None) -> list[str]:
