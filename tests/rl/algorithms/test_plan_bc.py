@@ -42,6 +42,7 @@ def recipe(**options):
     return load_recipe("obstacles_plan_bc").changed(options=SMALL | options, env_options={"max_episode_steps": 10})
 
 
+@pytest.mark.slow
 def test_most_followers_arrive_without_noise(shapes, layouts):
     rows, n = np.arange(len(layouts)), len(layouts)
     states, positions, labels = follow(shapes, layouts, rows, np.random.default_rng(0), replace(HOW, noise_share=0.0))
@@ -52,6 +53,7 @@ def test_most_followers_arrive_without_noise(shapes, layouts):
     assert abs(labels - positions).max() <= HOW.largest_move + 1e-6
 
 
+@pytest.mark.slow
 def test_noise_leads_off_the_ways(shapes, layouts):
     rows = np.arange(10)
     calm, noisy = (
@@ -79,6 +81,7 @@ def test_imagined_observations_are_those_of_the_environment(shapes):
     worlds.close()
 
 
+@pytest.mark.slow
 def test_parts_are_followed_anew_one_after_the_other(shapes, layouts):
     examples = FollowedPlans(shapes, layouts, 3, HOW)
     first = examples.renew(0, np.random.default_rng(0))

@@ -154,10 +154,10 @@ def test_a_training_by_an_expert_says_how_it_was_tuned(tmp_path, monkeypatch):
     assert card.cost.tuning.trials == 128 + recorded_tuning("reach_bc").trials
 
 
-def shown(teacher, episodes, seed, progress):
+def shown(teacher, episodes, seed):
     """Episodes of `reach_ik`, whoever teaches: what is learned is beside the point."""
     teacher.policy = make_policy("reach_ik", teacher.envs)
-    return SHOW(teacher, episodes, seed, progress)
+    return SHOW(teacher, episodes, seed)
 
 
 def row(**changes):
