@@ -117,7 +117,6 @@ def test_an_interrupted_suite_resumes_and_is_the_same(finished, tmp_path):
     assert timeless(tmp_path / "cut").equals(timeless(finished[1]))
 
 
-@pytest.mark.slow
 def test_a_suite_that_grew_was_looked_at_before(folder):
     found = suite([REACH, MOVING], episodes=3, out=folder)
     words = "after an earlier look at 2 episodes, p is too small and intervals are too narrow"
