@@ -70,11 +70,14 @@ MISSING = {
 
 def pytest_collection_modifyitems(config, items):
     """Leave out what was not asked for, and what this machine cannot run: with `--all`, that is told of as skipped."""
-    kept, left_out = [], []
+    kept, left_out, with_a_case = [], [], set()
     for item in items:
         markers = {marker.name for marker in item.iter_markers()}
         missing = [reason for marker, (is_missing, reason) in MISSING.items() if marker in markers and is_missing()]
         is_asked_for = all(config.getoption(MARKERS[marker]) for marker in markers & MARKERS.keys())
+        if is_asked_for and "one_case" in markers and not config.getoption("--all"):
+            is_asked_for = item.function not in with_a_case
+            with_a_case.add(item.function)
         if missing and config.getoption("--all"):
             item.add_marker(pytest.mark.skip(reason=missing[0]))
             missing = []

@@ -83,6 +83,7 @@ def test_sweep_disturbs_it_in_its_own_ways(folder, run):
     assert "payload-0.3" in (folder / "swept" / "episodes.csv").read_text()
 
 
+@pytest.mark.slow
 def test_run_shows_states_and_rewards(folder, run):
     text = run("run", "hover:Expert", "--steps", "2", "--video", "hover.mp4")
     assert "crash 0" in text

@@ -17,6 +17,7 @@ from .command_line import ARMCTL, armctl, program
 from .stores import wait_for_episodes
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("verb", ["list", "compare", "sweep", "suite", "run", "view", "collect", "train"])
 def test_help_teaches_each_verb(verb, tmp_path):
     assert verb in armctl("--help", cwd=tmp_path).stdout
@@ -131,6 +132,7 @@ def test_compare_prints_and_writes(tmp_path):
     assert "--overwrite" in again.stderr
 
 
+@pytest.mark.slow
 def test_other_formats_are_all_that_standard_output_holds(tmp_path):
     command = ("compare", "reach_ik", "random", "--episodes", "2", "--out", "here", "--format")
     first, *others = (armctl(*command, name, cwd=tmp_path) for name in ("json", "csv", "markdown", "latex"))
@@ -174,6 +176,7 @@ def test_ctrl_c_keeps_finished_episodes(tmp_path):
     assert (tmp_path / "here" / "summary.json").is_file()
 
 
+@pytest.mark.slow
 def test_sweep_prints_and_writes_and_goes_on(tmp_path):
     command = ("sweep", "reach_ik", "--episodes", "2", "--disturbance", "delay=1", "--disturbance", "noise=0.05,0")
     first, again = (armctl(*command, "--out", "here", cwd=tmp_path).stdout for _ in range(2))
@@ -269,6 +272,7 @@ def test_run_starts_at_any_episode(tmp_path):
     assert third in both
 
 
+@pytest.mark.slow
 def test_a_suite_is_played_and_reported_and_one_task_that_fails_stops_no_other(tmp_path):
     words = ("suite", "--quick", "--episodes", "1", "--out", "here", "--env", "Pendulum-v1")
     done = armctl(*words, cwd=tmp_path)

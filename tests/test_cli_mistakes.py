@@ -21,6 +21,7 @@ class Made:
 """
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -84,6 +85,7 @@ def test_mistakes_get_one_clear_line(arguments, says, tmp_path):
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_traceback_is_shown_where_it_is_asked_for(tmp_path):
     (tmp_path / "mine.py").write_text("def typo(observation):\n    return obsevation\n")
     arguments = ["compare", "mine.py:typo", "--episodes", "1", "--out", "r"]

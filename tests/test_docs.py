@@ -197,6 +197,7 @@ def _importable(name):
     return True
 
 
+@pytest.mark.slow
 def test_the_changelog_names_what_there_is_now():
     """The right column of its tables of renamed modules and names."""
     code = "".join(path.read_text() for part in ("src", "baselines", "rl") for path in (ROOT / part).rglob("*.py"))

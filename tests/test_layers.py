@@ -39,6 +39,7 @@ def test_imports_run_down_only_and_without_circles(package):
     assert "5 kept, 0 broken" in says
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("module", "imports"),
     [

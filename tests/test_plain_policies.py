@@ -99,6 +99,7 @@ def returns(policy, env=PENDULUM, worlds=1, episodes=4):
     return [played[episode] for episode in range(episodes)]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", ["pd", "Controller", "Counting", "made_of", "made_of_nothing", "sleeping"])
 def test_each_form_plays_alike_in_one_world_and_in_many(file, name):
     one = returns(f"{file}:{name}")
@@ -116,6 +117,7 @@ def test_a_file_is_imported_once_and_its_folder_is_known(file, tmp_path, monkeyp
     assert json.loads("1") == 1  # the standard library's is still what it was
 
 
+@pytest.mark.slow
 def test_functions_and_classes_can_be_given_as_they_are():
     class Constant:
         sees = "state"

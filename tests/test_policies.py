@@ -44,6 +44,7 @@ def worlds_for(name, env_id, n):
     return gymnasium.make_vec(env_id, num_envs=n, **(read_card(card).env_options if card.exists() else {}))
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("name", "env_id"), MEETINGS)
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_installed_policies_act_in_batches(name, env_id, worlds):
@@ -69,6 +70,7 @@ def test_policies_of_another_task_say_so(name):
         make_policy(name, env)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("name", "env_id"), MEETINGS)
 def test_a_policy_decides_for_each_world_on_its_own(name, env_id):
     wide, narrow = (worlds_for(name, env_id, n) for n in (3, 1))

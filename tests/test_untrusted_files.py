@@ -48,6 +48,7 @@ def results(home, played):
     return shutil.copytree(played, home / "results", dirs_exist_ok=True)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("there", "hostile"),
     [
@@ -137,6 +138,7 @@ def test_a_folder_in_which_one_works_runs_no_code(home, results):
     assert marks(home) == []
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     "env",
     [pytest.param("evil:armctl/ArmReach-v0", marks=pytest.mark.slow), "evil.py:ArmReach-v0", "results.evil:x"],

@@ -149,6 +149,7 @@ def test_a_number_of_worlds_is_called_num_envs(package):
     assert not refused, "\n".join(["`worlds` is a number there:", *refused])
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
 def test_docstrings_begin_with_a_noun_or_a_verb(package):
     refused = [

@@ -47,6 +47,7 @@ def check_same_outputs(graph, arrays):
             np.testing.assert_array_equal(np.concatenate(output), expected, err_msg=f"batches of {batch}")
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("card", SHIPPED, ids=lambda path: path.stem)
 def test_a_shipped_agent_acts_alike_in_any_number_of_worlds(card):
     described = read_card(card)
@@ -115,6 +116,7 @@ NUMERIC |= {
 }  # fmt: skip
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", NUMERIC)
 def test_an_operator_rounds_alike_in_any_number_of_worlds(name, tmp_path):
     nodes, constants, shape = NUMERIC[name]
@@ -293,6 +295,7 @@ def test_a_file_that_is_too_large(tmp_path):
         AgentGraph(path)
 
 
+@pytest.mark.slow
 def test_a_graph_that_is_too_slow(tmp_path, monkeypatch):
     monkeypatch.setattr(graph, "LONGEST_TRIAL", 0.02)
     monkeypatch.setattr(graph, "MAX_WORK", 10**12)

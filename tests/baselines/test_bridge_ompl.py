@@ -13,6 +13,7 @@ from ..stores import timeless
 from .driving import FAST, MOVING, STATIC, check_distances
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
 def test_it_crosses_nearly_always(env, least, sized):
     results = evaluate("bridge_ompl", env, episodes=sized(4, 100), seed=0, worlds=sized(4, 40), env_options=FAST)
@@ -20,6 +21,7 @@ def test_it_crosses_nearly_always(env, least, sized):
     assert results.length[results.success].mean() < 150
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_it_crosses_other_bridges(env, sized):
     options, n = {**FAST, "deck_length": 26.0, "deck_width": 4.6, "blocks": 5, "walkers": 2}, sized(3, 6)
@@ -27,6 +29,7 @@ def test_it_crosses_other_bridges(env, sized):
     assert results.success.all()
 
 
+@pytest.mark.slow
 def test_it_is_the_same_in_every_run_and_needs_no_camera():
     short = {"deck_length": 12.0, "blocks": 2, "walkers": 2}
     runs = [

@@ -18,6 +18,7 @@ def test_reach_ik_reaches_every_reachable_target(sized):
     assert results.length.mean() < 12
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("robot", ["ur3", "ur10"])
 @pytest.mark.parametrize("control", ["position", "delta", "velocity"])
 def test_reach_ik_works_on_other_arms_and_controls(robot, control):
@@ -32,6 +33,7 @@ def test_reach_ik_works_on_other_arms_and_controls(robot, control):
     assert results.success.all()
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("robot", ["z1", "panda", "xarm7"])
 def test_reach_ik_works_on_arms_that_are_no_ur(robot):
     results = evaluate(
@@ -58,6 +60,7 @@ def test_reach_ik_survives_targets_out_of_reach():
     assert list(results.outcome) == ["timeout"] * 3
 
 
+@pytest.mark.slow
 def test_feasible_box_targets_are_reached():
     options = {"target": "box", "max_episode_steps": 40}
     results = evaluate("reach_ik", episodes=30, seed=3, worlds=30, env_options=options, lower_bound_steps=False)
@@ -65,6 +68,7 @@ def test_feasible_box_targets_are_reached():
     assert results[results.feasible].success.all()
 
 
+@pytest.mark.slow
 def test_random_is_the_same_in_every_run_and_seldom_lucky():
     first, again = (
         evaluate("random", episodes=30, seed=0, worlds=worlds, lower_bound_steps=False).drop(columns=list(TIME_COLUMNS))
@@ -81,6 +85,7 @@ def test_reach_mpc_reaches_and_keeps_all_limits(sized):
     assert results.optimality_gap.median() < 0.3
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("policy", "error"), [("reach_mpc", 0.012), ("reach_ik", 0.02)])
 def test_experts_follow_a_moving_target(policy, error, sized):
     env, n = "armctl/ArmReachMoving-v0", sized(6, 30)

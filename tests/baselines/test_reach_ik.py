@@ -45,6 +45,7 @@ def steps_between_plans(disturbances, steps=50, tolerance=TINY):
         yield from zip(np.diff(begins, append=length), arrivals, strict=True)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", ARM)
 @pytest.mark.parametrize("strength", ["neutral", "strongest"])
 def test_it_plans_again_by_the_clock_under_every_disturbance(name, strength):
@@ -64,6 +65,7 @@ def test_undisturbed_it_plans_once():
     assert len(list(steps_between_plans({}, tolerance=0.05))) == 3
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("disturbances", "success"), [({"noise": 0.02}, 0.99), ({"noise": 0.05}, 0.99), ({"mismatch": 0.2}, 0.9)]
 )

@@ -67,6 +67,7 @@ def hard_scenes(count, seed=0):
         yield mpc, bridge, pose, (rng.uniform(0, 2), rng.uniform(-1, 1)), walking(start, velocity)
 
 
+@pytest.mark.slow
 def test_plans_keep_all_limits_and_the_equations_of_motion():
     for mpc, _, pose, velocity, people in hard_scenes(25):
         result = mpc.decide(pose, velocity, people)

@@ -99,6 +99,7 @@ def test_a_plan_is_worth_its_cost():
             assert plan.cost <= reach_cost(MODEL, ReachProblem(), situation, nothing)
 
 
+@pytest.mark.slow
 def test_plans_in_closed_loop_cost_what_converged_ones_do():
     rng, mpc, reference = np.random.default_rng(2), ReachMpc(MODEL, ReachMpcOptions(pairs=0)), ReachReference(MODEL)
     excess = []

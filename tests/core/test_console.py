@@ -99,6 +99,7 @@ def agent_of(folder, name, changes=()):
     return f"{name}.json"
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", ["[red]x[red]", "[bold]", "[", "[@click=f()]y[]"])
 def test_square_brackets_in_names_are_no_markup(tmp_path, name):
     agent = agent_of(tmp_path, name)
@@ -115,6 +116,7 @@ def test_square_brackets_in_names_are_no_markup(tmp_path, name):
     assert "f[/]" in wrong.stderr
 
 
+@pytest.mark.slow
 def test_what_a_card_says_is_no_control_sequence(tmp_path):
     text = "\x1b[2J\x1b]0;title\x07\x9b31m[/]"
     for field in ("name", "learner", "recipe", "env", "teacher", "shaping", "versions", "interface"):

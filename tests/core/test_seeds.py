@@ -50,6 +50,7 @@ def test_only_the_test_has_a_name(seed):
         evaluation_seed(seed)
 
 
+@pytest.mark.slow
 def test_the_sealed_test_goes_by_its_name_everywhere(tmp_path, monkeypatch):
     """Whatever its number is after the next release."""
     monkeypatch.setattr(seeds, "TEST_SEED", 777)

@@ -122,6 +122,7 @@ def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupte
     assert ("were there already" in again.stdout) == bool(kept)
 
 
+@pytest.mark.slow
 def test_a_resumed_collection_plays_only_what_is_missing(interrupted, tmp_path):
     seen = []
     collection = collect("random", episodes=9, out=interrupted, env_options=SHORT, progress=seen.append)
@@ -131,6 +132,7 @@ def test_a_resumed_collection_plays_only_what_is_missing(interrupted, tmp_path):
     assert (collection.steps, collection.successes) == (whole.steps, whole.successes)
 
 
+@pytest.mark.slow
 def test_a_finished_collection_is_left_as_it_is(interrupted):
     collect("random", episodes=9, out=interrupted, env_options=SHORT)
     before = files(interrupted)
@@ -139,6 +141,7 @@ def test_a_finished_collection_is_left_as_it_is(interrupted):
     assert files(interrupted) == before
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -172,6 +175,7 @@ def test_versions_are_part_of_what_a_collection_is(interrupted, monkeypatch):
         collect("random", episodes=9, out=interrupted, env_options=SHORT)
 
 
+@pytest.mark.slow
 def test_an_episode_that_is_damaged_is_played_again(interrupted, tmp_path):
     one, other = interrupted / "unfinished/episode_1.npz", interrupted / "unfinished/episode_2.npz"
     content = bytearray(one.read_bytes())
@@ -302,6 +306,7 @@ class Killed(BaseException):
     """The end of the process, as far as one process can tell."""
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("step", ["write_dataset", "sealed", "rename", "rmtree"])
 @pytest.mark.parametrize("after", [False, True])
 def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, tmp_path, monkeypatch, step, after):

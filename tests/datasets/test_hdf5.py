@@ -191,6 +191,7 @@ def test_what_is_wrong_with_values_is_said(data, change, says):
         read_demonstrations(data, worlds())
 
 
+@pytest.mark.slow
 def test_one_array_under_many_names_is_not_read_many_times(data):
     """Hard links would make a small file fill the memory."""
     with h5py.File(data / hdf5.FILE, "a") as file:

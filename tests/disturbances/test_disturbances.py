@@ -320,6 +320,7 @@ def test_unusable_levels_say_what_is_allowed(env, options, says):
         gymnasium.make(env, **options)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "name"), [(REACH, name) for name in ARM] + [(BRIDGE, name) for name in ROVER])
 def test_the_most_that_is_allowed_is_survived(env, name):
     kind = (ARM if env == REACH else ROVER)[name]

@@ -32,6 +32,7 @@ def test_ranges_are_of_all_disturbances():
     assert {env: set(ranges) for env, ranges in RANGES.items()} == {REACH: set(ARM), BRIDGE: set(ROVER)}
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "name"), CASES)
 def test_each_episode_is_that_of_its_level_fixed(env, name):
     low, high = RANGES[env][name]

@@ -77,6 +77,7 @@ def differing(policies, env, disturbance, level, steps=25, episodes=2):
     return {one.policy: (bool(changed[one.policy]), bool(one.spared)) for one in disturbed.policies}
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("disturbance", "expected"),
     [

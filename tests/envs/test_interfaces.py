@@ -33,6 +33,7 @@ def vector(env, n=3, **options):
     return gymnasium.make_vec(env, num_envs=n, threads=1, **options)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "options"), INTERFACES)
 def test_checkers_pass_without_a_warning(env, options):
     """But for two that say that physical units are no convention, and one about images that are no pictures."""
@@ -49,6 +50,7 @@ def test_checkers_pass_without_a_warning(env, options):
         check_env_for_stable_baselines(made.unwrapped, skip_render_check=True)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "options"), INTERFACES)
 def test_every_number_observed_is_within_finite_bounds(env, options, sized):
     worlds = vector(env, 8, max_episode_steps=40, **options)
@@ -94,6 +96,7 @@ def test_the_outcome_is_running_until_an_episode_ends():
     assert [worlds.outcomes[one["outcome_id"][0]] for one in seen] == ["running"] * 3 + ["timeout", "running"]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("env", [*REACH, BRIDGE[0], pytest.param(BRIDGE[1], marks=pytest.mark.slow)])
 def test_crashing_at_once_is_worth_less_than_standing_still(env, sized):
     """Without discount, and with any other."""

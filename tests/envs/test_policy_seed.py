@@ -147,6 +147,7 @@ def test_a_policy_seed_of_another_kind_is_refused(wrong):
         armctl.evaluate("random", episodes=1, policy_seed=wrong)
 
 
+@pytest.mark.slow
 def test_a_folder_keeps_its_policy_seed(tmp_path):
     """Whatever plays later in it, however many worlds or workers: the same actions. Another one is refused."""
     command = {"env_options": SHORT, "out": tmp_path / "a"}

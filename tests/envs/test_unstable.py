@@ -79,6 +79,7 @@ def break_world(env, world=1, number=np.nan):
     env.unwrapped.task.simulation.array("qvel")[world] = number
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("env", ["cart", *ENVS])
 def test_the_episode_ends_as_unstable_and_the_next_one_is_as_in_a_fresh_environment(env, mode, tmp_path, monkeypatch):

@@ -271,6 +271,7 @@ def test_disabled_autoreset_freezes_finished_worlds_until_they_are_picked():
     assert env.episodes.tolist() == [0, 2]
 
 
+@pytest.mark.slow
 def test_picture_shows_the_green_target_or_says_what_is_missing():
     env = single(render_mode="rgb_array")
     env.reset(seed=3)

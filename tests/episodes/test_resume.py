@@ -108,6 +108,7 @@ def test_a_folder_has_one_writer(folder):
     assert contents(folder)["episodes.csv"] == before["episodes.csv"]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", [STORE, f"{STORE}-wal", "episodes.csv", "summary.json", ".lock"])
 def test_nothing_is_written_through_a_link(folder, tmp_path_factory, name):
     victim = tmp_path_factory.mktemp("elsewhere") / "victim"

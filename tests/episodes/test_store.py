@@ -49,6 +49,7 @@ def results(draw):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)))
 def test_it_holds_what_was_written(found, tmp_path, monkeypatch):
@@ -72,6 +73,7 @@ with one_cell(Path(sys.argv[1]), OWN, 400) as store:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kills", [1, pytest.param(3, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.thorough)]
 )
@@ -91,6 +93,7 @@ def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
         same(list(stored), [results[one.policy, one.episode] for one in stored])
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (40_000, True), (200_000, True)])
 def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept):
     found = list(played(400, "ba"))

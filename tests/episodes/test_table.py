@@ -72,6 +72,7 @@ def test_lists_of_numbers_are_taken_in_any_order():
     assert taken.lengths.tolist() == [1, 2, 0, 1]
 
 
+@pytest.mark.slow
 def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     """By what is allocated, which is the same on each machine: between a small table and a larger one.
 

@@ -72,6 +72,7 @@ def mutations(content):
     return {"hdf5": mutate_hdf5, "metadata": mutate_metadata, "values": mutate_values}
 
 
+@pytest.mark.slow
 def test_the_dataset_is_fine_as_it_is(load):
     assert load() == ("fine", "6 episodes")
 

@@ -126,6 +126,7 @@ def scalars(chunks, path, component):
     return rows
 
 
+@pytest.mark.slow
 def test_rerun_reads_each_episode(arm, bridge, tmp_path):
     for dataset, played in (arm, bridge):
         reader = LeRobotReader(dataset)
@@ -224,6 +225,7 @@ def interrupted(tmp_path):
     return given
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_what_is_finished_and_resumes_to_the_same_dataset(interrupted, tmp_path):
     assert len(pq.read_table(tmp_path / "d/meta/episodes")) == 2
     assert LeRobotReader(tmp_path / "d").episodes() == [0, 1]
@@ -238,6 +240,7 @@ class Killed(BaseException):
     """The end of the process, as far as one process can tell."""
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("moved", [0, 1, 2])
 def test_an_end_while_parts_are_moved_loses_nothing(interrupted, monkeypatch, moved):
     real, left = Path.rename, iter(range(moved))

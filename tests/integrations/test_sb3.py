@@ -101,6 +101,7 @@ def test_frames_are_stacked_behind_each_other():
     np.testing.assert_array_equal(seen["image"][..., 2:], after["image"])
 
 
+@pytest.mark.slow
 def test_wrappers_and_evaluation_of_stable_baselines_work():
     venv = VecNormalize(VecMonitor(VecEnv(worlds(max_episode_steps=5, **LEARNER))))
     model = PPO("MlpPolicy", venv, n_steps=8, batch_size=8, device="cpu").learn(48)
@@ -108,6 +109,7 @@ def test_wrappers_and_evaluation_of_stable_baselines_work():
     assert -5 <= mean <= 99
 
 
+@pytest.mark.slow
 def test_hindsight_runs_unmodified():
     venv = VecEnv(worlds(goal=True, max_episode_steps=10, **LEARNER))
     model = SAC(

@@ -121,6 +121,7 @@ def test_segments():
         assert np.linalg.norm(p - q) <= np.linalg.norm(grid, axis=-1).min() + 1e-9
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
 def test_no_pair_has_to_keep_more_than_it_has_at_home(name):
     """A distance that counts as `margin` is at most what the pair has at home: else the arm would never be free."""

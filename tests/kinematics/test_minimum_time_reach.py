@@ -57,6 +57,7 @@ def test_a_way_called_free_is_free(arm):
     assert all(arm.way_is_free(*way) for way in free)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("at_home", [True, False])
 def test_is_as_soon_as_the_best_of_many_free_ways_to_the_centre(arm, at_home):
     ratios = []

@@ -131,6 +131,7 @@ def test_base_distance_is_that_to_the_base_capsules(model):
         assert model.base_distance(point) == pytest.approx(min(expected), abs=1e-6)
 
 
+@pytest.mark.one_case
 def test_box_distances_are_those_of_points_along_the_capsules(model):
     rng, frames = np.random.default_rng(0), {frame.name: i for i, frame in enumerate(model.pinocchio.frames)}
     boxes = Boxes(rng.uniform(-0.8, 0.8, (5, 3)), rng.uniform(0.02, 0.2, (5, 3)), rng.uniform(-np.pi, np.pi, 5))

@@ -56,6 +56,7 @@ def cage(around, half_width, thickness=0.02):
     return Boxes(around + axes * (half_width + thickness), sizes, np.zeros(6))
 
 
+@pytest.mark.one_case
 def test_paths_are_free_in_mujoco_and_end_in_the_sphere(case):
     found = searched = 0
     for layout in case.layouts(16):

@@ -41,6 +41,7 @@ def test_every_layout_is_crossed_with_clearance(clearance):
         assert_crosses_with_clearance(bridge, plan, clearance)
 
 
+@pytest.mark.slow
 def test_there_is_a_path_wherever_the_map_can_be_crossed_however_narrow_its_gaps():
     rng, narrow, walled_up = np.random.default_rng(4), 0, 0
     while narrow < 40:

@@ -19,6 +19,7 @@ def test_a_policy_without_images_is_spared_lost_images():
         assert set(worlds.of("bridge_ppo").disturbances) == {"dropout", "payload"}
 
 
+@pytest.mark.slow
 def test_lost_images_change_nothing_for_a_policy_without_images():
     plain, spared, blinded = (
         compare(names, BRIDGE, episodes=2, env_options={"max_episode_steps": 40} | options).results

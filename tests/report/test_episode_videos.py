@@ -39,6 +39,7 @@ def test_videos_show_the_episodes_of_the_table(finished, tmp_path):
         assert np.abs(shown[-1].astype(int) - shown[result.length]).mean() < 2  # and stands still in the end
 
 
+@pytest.mark.slow
 @pytest.mark.opengl
 def test_a_replay_that_goes_otherwise_is_told(finished):
     from dataclasses import replace

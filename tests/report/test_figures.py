@@ -59,6 +59,7 @@ def test_figures_hold_the_numbers_of_the_summary(folder):
 CURVE = "steps,minutes,success,low,high,return\n1000,0.5,0.25,0.1,0.4,-50\n9000,4.5,0.875,0.7,0.95,60\n"
 
 
+@pytest.mark.slow
 def test_learning_curves_of_agents_beside_the_others(tmp_path):
     agents = card_path("reach_ppo")
     mine = tmp_path / "runs" / "mine-0"
@@ -120,6 +121,7 @@ def contrast(one, other):
     return max(lights) / min(lights)
 
 
+@pytest.mark.slow
 def test_no_colour_of_a_figure_is_forgotten_on_a_dark_page(swept):
     readable = {*colours.TERM_COLOURS, "rgba(0,0,0,0)", *colours.DARK}
     for figure in plots_of(write_report(swept, video=False)).values():

@@ -115,6 +115,7 @@ def test_no_episode_at_all_is_a_report_too(tmp_path):
     assert "No episode was finished." in text_of(write_report(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_sweep_has_its_disturbances_first(swept):
     report = write_report(swept, video=False)
     html, drawn = report.read_text(), plots_of(report)

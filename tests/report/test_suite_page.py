@@ -41,6 +41,7 @@ def folder(finished, tmp_path):
     return shutil.copytree(finished, tmp_path / "suite")
 
 
+@pytest.mark.slow
 def test_the_page_has_the_answer_the_map_and_the_links(folder):
     page = write_report(folder)
     assert page == folder / "report.html"

@@ -40,6 +40,7 @@ def example_data(path):
 # Built-in arms
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("robot", BUILTIN_ARMS)
 def test_limits_are_the_numbers_of_the_urdf(robot):
     arm = load_arm(robot)
@@ -266,6 +267,7 @@ def test_limits_and_joint_order_are_the_same_in_every_library(urdf):
             np.testing.assert_allclose(upper, description.limits.upper)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
 def test_pairs_of_a_file_alone_get_apart_and_do_not_forbid_most_configurations(name):
     builtin = BUILTIN_ARMS[name]
@@ -278,6 +280,7 @@ def test_pairs_of_a_file_alone_get_apart_and_do_not_forbid_most_configurations(n
     assert model.are_free(postures).mean() > 0.25
 
 
+@pytest.mark.slow
 def test_pairs_are_the_same_whenever_a_file_is_read():
     builtin = BUILTIN_ARMS["xarm7"]
     pairs = []

@@ -31,6 +31,7 @@ def distances(capsule, points):
     return np.linalg.norm(points - start - along[:, None] * axis, axis=1) - capsule.radius
 
 
+@pytest.mark.slow
 @given(clouds())
 @example(ROUNDING)
 @properties
@@ -40,6 +41,7 @@ def test_no_vertex_is_outside(points):
     assert distances(capsule, points).max() <= 1e-9
 
 
+@pytest.mark.slow
 @given(clouds())
 @example(ROUNDING)
 @properties

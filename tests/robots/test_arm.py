@@ -58,6 +58,7 @@ class Rig:
         return np.array(goals)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_keyframe_is_home(robot, control):

@@ -89,6 +89,7 @@ def lost():
     return {k: step for k, step in steps.items() if step is not None and step < lengths[k]}
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("policy", "setting"),
     [

@@ -50,6 +50,7 @@ def mine(tmp_path, monkeypatch):
     get_reusable_executor().shutdown(wait=True)  # workers of an earlier test are in another folder
 
 
+@pytest.mark.slow
 def test_workers_and_worlds_change_no_episode(tmp_path):
     told = []
     parallel: dict[str, Any] = {"workers": 2, "worlds": 2, "progress": told.append}

@@ -212,6 +212,7 @@ def test_actions_that_are_no_numbers_cannot_be_late():
         check_real_time("mine/Doors-v0", worlds)
 
 
+@pytest.mark.slow
 def test_success_against_slow_down_has_the_same_times_at_every_level(clock, tmp_path):
     arguments: dict[str, Any] = {"policies": wandering(clock), "env": BRIDGE, "episodes": 2, "env_options": SHORT}
     found = sweep(**arguments, disturbances={"slow-down": [5, 1]}, out=tmp_path)
@@ -231,6 +232,7 @@ def test_success_against_slow_down_has_the_same_times_at_every_level(clock, tmp_
     assert "the level of slow-down" in page
 
 
+@pytest.mark.slow
 def test_a_sweep_of_recorded_times_may_have_many_worlds(recorded, tmp_path):
     arguments: dict[str, Any] = {
         "env": BRIDGE,
@@ -248,6 +250,7 @@ def test_a_sweep_of_recorded_times_may_have_many_worlds(recorded, tmp_path):
     assert f"--real-time {recorded / 'latencies'}" in write_report(tmp_path, video=False).read_text()
 
 
+@pytest.mark.slow
 def test_more_episodes_extend_a_recording_and_what_repeats_it(tmp_path):
     arguments: dict[str, Any] = {
         "env": BRIDGE,

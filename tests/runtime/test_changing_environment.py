@@ -28,6 +28,7 @@ class ByItself(gymnasium.Env):
         return np.zeros(1), 0.0, False, True, {}
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("sees", ["observation", "state"])
 def test_an_environment_that_changes_by_itself_disqualifies_nobody_who_was_not_given_it(sees):
     made = []

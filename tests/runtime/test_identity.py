@@ -101,6 +101,7 @@ def test_what_cannot_be_hashed_is_played_and_written_but_not_resumed(tmp_path):
     assert compare(policies, episodes=2, out=tmp_path, env_options=OPTIONS, overwrite=True).resumed == 0
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("kind", ["object", "closure", "default", "class", "bound method"])
 def test_another_policy_of_the_same_name_does_not_resume(tmp_path, kind):
     make = KINDS[kind]
@@ -155,6 +156,7 @@ def test_a_torch_module_with_the_same_parameters_is_another_one(tmp_path, other)
         plays(tmp_path, {"net": other()})
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("package", ["numba", "llvmlite", "coal", "torch"])
 def test_another_version_of_what_computes_does_not_resume(tmp_path, monkeypatch, package):
     assert plays(tmp_path) == 0

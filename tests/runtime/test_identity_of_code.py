@@ -149,6 +149,7 @@ def near(state):
 """
 
 
+@pytest.mark.slow
 def test_an_edited_reward_term_of_a_module_does_not_resume(modules, tmp_path):
     """Though the option is the same function, of the same module and name."""
     (terms,) = modules(terms=REWARD.format(scale=1.0))
@@ -169,6 +170,7 @@ IMPORTS = {
 }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("how", IMPORTS)
 def test_a_module_that_importlib_loads_counts(modules, tmp_path, how):
     policy = IMPORTS[how] + ("" if "def pd" in IMPORTS[how] else "\ndef pd(x):\n    return x[3:9] * G.GAIN\n")
@@ -181,6 +183,7 @@ def test_a_module_that_importlib_loads_counts(modules, tmp_path, how):
         plays(tmp_path / "out", [mine.pd])
 
 
+@pytest.mark.slow
 def test_a_module_that_was_loaded_then_counts_loaded_or_not_and_others_do_not(modules, tmp_path):
     """What a policy reads of a module may be beyond what its code tells: then it is a module that was loaded."""
     modules(settings="GAIN = 0.1\n")

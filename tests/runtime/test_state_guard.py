@@ -128,6 +128,7 @@ def test_a_planner_may_try_actions_if_it_puts_the_world_back():
     assert not armctl.compare([trying], episodes=2, env_options={"max_episode_steps": 5}).failures
 
 
+@pytest.mark.slow
 def test_none_of_its_episodes_count_and_everything_says_why(tmp_path):
     @armctl.sees("state")
     def late(env):
@@ -212,6 +213,7 @@ BORN = {
 }  # fmt: skip
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("write", BORN, ids=lambda write: write.__name__)
 def test_whoever_writes_as_it_is_made_is_disqualified_and_changes_nothing_for_the_others(write):
     options = {"max_episode_steps": 4}

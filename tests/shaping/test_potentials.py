@@ -24,6 +24,7 @@ def test_each_environment_names_its_oracles():
     }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "name", "expert"), PAIRS)
 def test_a_potential_is_one_function_of_the_state_for_an_episode(env, name, expert):
     """A state has the same potential for who has followed the episode and for who looks at its end only."""

@@ -65,11 +65,13 @@ def assert_telescopes(env, potential, policy, limit, steps):
     return terminated.any(axis=0)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "potential", "expert"), PAIRS)
 def test_shaping_telescopes_over_truncated_random_episodes(env, potential, expert):
     assert not assert_telescopes(env, potential, "random", 6, 9).any()
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "potential", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
 def test_shaping_telescopes_over_expert_episodes_that_terminate(env, potential, expert):
     steps = 40 if "Reach-" in env else 150 if "Bridge" in env else 90

@@ -42,6 +42,7 @@ def worlds(env, n, threads, options):
     return made, made.unwrapped.task
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(("env", "options"), CASES)
 def test_all_that_happens_is_the_same(env, options, threads):

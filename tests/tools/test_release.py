@@ -124,6 +124,7 @@ def test_published_agents_are_of_the_present_test():
         assert f"| {card.evaluation.success_rate:.1%} of {card.evaluation.episodes:,} |" in zoo.table()
 
 
+@pytest.mark.slow
 def test_every_published_policy_has_its_trials_in_the_ledger():
     """Experts too, and agents that look ahead; of what nobody recorded, it says so."""
     known = {row["recipe"] for row in read_trials(ROOT / "rl" / "trials.csv")}

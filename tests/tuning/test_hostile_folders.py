@@ -55,6 +55,7 @@ VALUES = st.one_of(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(data=st.data())
 def test_any_journal_is_refused_or_works(finished, tmp_path_factory, data):

@@ -91,6 +91,7 @@ def test_more_trials_resume_and_the_same_number_does_nothing(tmp_path):
     assert not list((tmp_path / "processes").iterdir())
 
 
+@pytest.mark.slow
 def test_the_same_seed_proposes_the_same_values(tmp_path):
     found = [tune(expert(), tmp_path / str(i), trials=3, seed=seed) for i, seed in enumerate((3, 3, 4))]
     proposed = [[one.params for one in one.trials] for one in found]
@@ -136,6 +137,7 @@ def test_the_best_values_are_a_recipe(recipe, tmp_path):
     assert tuned.changed(options=load_recipe(recipe).options, name="small", tuned=None) == load_recipe(recipe)
 
 
+@pytest.mark.slow
 def test_the_best_options_of_an_expert_can_be_compared(tmp_path):
     found = tune(expert(), tmp_path, trials=8)
     assert found.best is not found.present_trial, "no trial was better: choose another seed for this test"

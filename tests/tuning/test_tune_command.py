@@ -15,6 +15,7 @@ def tuned(tmp_path_factory):
     return armctl("tune", *arguments, "--format", "json", cwd=folder), folder
 
 
+@pytest.mark.slow
 def test_it_prints_the_present_and_the_best_values(tuned):
     done, folder = tuned
     told = json.loads(done.stdout)

@@ -52,6 +52,7 @@ class Viewer:
         return self.play(seconds)
 
 
+@pytest.mark.slow
 def test_an_episode_takes_as_long_as_it_lasts():
     viewer = Viewer("random")
     viewer.play()

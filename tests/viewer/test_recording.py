@@ -20,6 +20,7 @@ def record(path, frames=NOISE):
     return said
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("suffix", VIDEO_FORMATS)
 def test_a_video_has_every_frame_and_a_short_one_is_refused(tmp_path, suffix):
     path = tmp_path / f"film{suffix}"

@@ -61,6 +61,7 @@ def worlds():
     made.close()
 
 
+@pytest.mark.slow
 def test_it_wins_more_than_the_clone_by_itself(worlds, sized):
     seeds = range(sized(2, 5))
     wins = dict.fromkeys(("obstacles_imagined", "obstacles_plan_bc"), 0)

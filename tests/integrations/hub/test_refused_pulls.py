@@ -96,6 +96,7 @@ def test_a_hub_that_fails(hub, agent, where, status, request):
         pull(NAME)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("where", ["create", "validate", "preupload", "commit", "batch", "stored"])
 def test_a_hub_that_fails_while_it_is_given_something(hub, agent, where):
     hub.lfs = True

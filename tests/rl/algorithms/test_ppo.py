@@ -49,6 +49,7 @@ def trained(tmp_path_factory):
     return out, train(small(), out=out, seed=3, progress=False)
 
 
+@pytest.mark.slow
 def test_training_leaves_a_runnable_agent_its_card_logs_curve_and_checkpoints(trained):
     out, card = trained
     assert card == card.model_validate_json((out / "agent.json").read_bytes())

@@ -17,6 +17,7 @@ register()
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("kind", "env", "name", "options"),
     [
@@ -45,6 +46,7 @@ def test_an_agent_acts_as_its_model(kind, env, name, options, tmp_path):
     check_acts_alike(model, load(4), env)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seen", "done", "policy", "options"),
     [
@@ -90,6 +92,7 @@ def recurrent(tmp_path_factory):
     return of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variant", ["two LSTMs", *(pytest.param(name, marks=SLOW) for name in ("shared", "actor's only", "two layers"))]
 )
@@ -135,6 +138,7 @@ def test_an_agent_that_is_reset_acts_as_a_new_one(recurrent):
     assert not np.array_equal(now[0], fresh[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "given"),
     [("vecnormalize.pkl", []), pytest.param("other.pkl", ["--vecnormalize", "other.pkl"], marks=SLOW)],
@@ -208,6 +212,7 @@ def test_a_trained_model_and_what_its_card_says(tmp_path):
     assert "/" not in json.dumps([card.versions, card.learner_options]), "no paths"
 
 
+@pytest.mark.slow
 def test_the_environment_s_options_are_on_the_card(tmp_path):
     env, options = "armctl/ArmReach-v0", ["--set", "robot=ur10", "--set", "max_episode_steps=9"]
     make(PPO, gymnasium.make(env, robot="ur10")).save(tmp_path / "model.zip")

@@ -153,6 +153,7 @@ def saved(tmp_path_factory):
     return folder
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

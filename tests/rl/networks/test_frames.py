@@ -78,6 +78,7 @@ def test_a_stack_is_the_last_observations_and_before_them_the_first(frames, gap)
         assert torch.equal(stack, torch.stack(expected, dim=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", ["armctl/ArmReach-v0", pytest.param("armctl/BridgeCross-v0", marks=pytest.mark.slow)])
 def test_a_graph_with_memory_acts_as_the_network_in_any_number_of_worlds(env, tmp_path, prepared):
     worlds = make_worlds(env, 3, {"resolution": (8, 6)} if "Bridge" in env else {})

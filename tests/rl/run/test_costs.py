@@ -95,6 +95,7 @@ def expected(name):
     return {**seen, "gradient_steps": seen["gradient_steps"] / networks}
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", RECIPES)
 def test_each_learner_counts_what_it_spends(name, counted, tmp_path):
     card = train(name, tmp_path / "run")
@@ -121,6 +122,7 @@ def test_a_resumed_clone_counts_its_demonstrations_once(counted, tmp_path):
     assert counts(more) == {**counts(first), "gradient_steps": 20}
 
 
+@pytest.mark.slow
 def test_counts_that_cannot_be_read_are_refused(tmp_path):
     """They would be wrong numbers on the card."""
     train("reach_ppo", tmp_path / "run")

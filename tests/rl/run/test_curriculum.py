@@ -49,6 +49,7 @@ def test_a_later_stage_replaces_what_held_before():
     assert found == [first, first, second, ({}, {})]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("options", [{}, {"frames": 2}])
 def test_ppo_changes_worlds(stages, options, unexported, tmp_path):
     card = ppo.train(recipe(options=SHORT | options), out=tmp_path / "run", seed=0, progress=False)

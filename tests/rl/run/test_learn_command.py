@@ -38,6 +38,7 @@ def test_the_follow_up_command_can_be_pasted(trained):
     assert "ur10" in text or "agent" in text
 
 
+@pytest.mark.slow
 def test_the_training_is_recorded_with_what_was_changed(trained):
     _, folder = trained
     (row,) = read_trials(folder / "my runs" / "trials.csv")

@@ -62,6 +62,7 @@ def graded(monkeypatch):
     monkeypatch.setattr(module, "rollouts", play)
 
 
+@pytest.mark.slow
 def test_the_best_is_kept_and_exported(tmp_path, graded):
     rows = []
     with Training(recipe(), OPTIONS, tmp_path / "run", 0, False, rows.append) as training:

@@ -95,6 +95,7 @@ def test_the_state_is_the_truth():
         np.testing.assert_allclose(np.linalg.norm(walkers[:, 2:], axis=1), drawn.pedestrians.speed, rtol=1e-5)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 @pytest.mark.parametrize("options", [{}, {"camera": "classes"}, {"observation": "state"}])
 def test_every_world_is_the_single_environment_of_its_seed_bit_for_bit(env, options):

@@ -43,6 +43,7 @@ def test_a_pool_is_read_as_it_was_written(tmp_path):
     assert (tmp_path / "again.npz").read_bytes() == POOL_FILE.read_bytes()
 
 
+@pytest.mark.slow
 def test_the_maker_makes_the_pool(tmp_path, monkeypatch, sized):
     count = sized(1, 2)
     monkeypatch.setattr(make_layout_pool, "SIZES", dict.fromkeys(PARTS, count))

@@ -150,6 +150,7 @@ def test_worlds_are_those_of_single_environments():
     np.testing.assert_array_equal(again, together)
 
 
+@pytest.mark.slow
 def test_other_arms_have_obstacles_too():
     for robot in ("z1", "panda"):
         env = gymnasium.make(ENV, robot=robot)
