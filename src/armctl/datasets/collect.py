@@ -5,7 +5,6 @@ So nothing that is finished is lost, and an interrupted collection resumes. `res
 
 import itertools
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
@@ -15,9 +14,8 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import remember_named
 from armctl.core.seeds import check_training_data_seed
 from armctl.datasets.formats import load_format
-from armctl.datasets.minari import check_recordable
 from armctl.datasets.recorder import DatasetRecorder
-from armctl.envs import full_id, make_worlds
+from armctl.envs import full_id
 from armctl.episodes.failures import PolicyDisqualified, PolicyFailed
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import PolicyFactory, policy_name
@@ -93,12 +91,8 @@ def collect(
     check_training_data_seed(seed)
     shared = extent(episodes, seed, options)
     plan = Plan(COMPARISON, [TaskPlan(env, [cell])], **shared, envs=[env])
-    with closing(make_worlds(env, 1, cell.env_options)) as worlds:
-        check_recordable(worlds)
-        metadata = kind.describe(folder, env, cell.env_options, worlds)
-    metadata |= {"algorithm_name": name, "seed": seed, "versions": versions() | libraries}
+    metadata = {"algorithm_name": name, "seed": seed, "versions": versions() | libraries}
     recorder = DatasetRecorder(folder, format, kind, metadata, episodes, options.get("overwrite", False))
-    recorder.check()
     finished = itertools.count(1)
     study = play(plan, folder, options, lambda cell, result: progress(next(finished)), recorder)
     comparison: Comparison = study.cells[UNDISTURBED]

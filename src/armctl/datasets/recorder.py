@@ -21,8 +21,8 @@ from armctl.core.errors import ResultsError
 from armctl.core.files import CHECKSUM, FORMAT, bounded_text, write_atomically
 from armctl.datasets.demonstrations import OBSERVATIONS, Demonstration, RecordingWorlds, observations_of, parts_of
 from armctl.datasets.formats import Format, load_formats
-from armctl.datasets.minari import UNFINISHED
-from armctl.envs import EpisodeVectorEnv, make_worlds
+from armctl.datasets.minari import UNFINISHED, check_recordable
+from armctl.envs import EpisodeVectorEnv
 from armctl.episodes.failures import PolicyFailed, failure_of
 from armctl.episodes.record import EpisodeResult, FailedEpisode
 from armctl.episodes.table import EpisodeTable
@@ -30,6 +30,7 @@ from armctl.policies import WorldsByInterface
 from armctl.runtime.folder import OTHERWISE, read_sealed
 from armctl.study.cell import Recorder
 from armctl.study.comparison import Comparison
+from armctl.study.plan import Cell
 
 _EPISODE = re.compile(r"episode_\d+\.npz|\.armctl-")
 FORMAT_NUMBER = 1
@@ -39,10 +40,7 @@ FORMAT_NUMBER = 1
 class WorldsAsAsked(WorldsByInterface):
     """Worlds with the interface that was asked for, whoever plays in them: it is what is recorded."""
 
-    def __init__(self, env: str, num_envs: int, options: Mapping[str, Any], threads: int = 0) -> None:
-        super().__init__(env, num_envs, options, threads)
-        self.requested = make_worlds(env, num_envs, options, threads)
-        self._envs = [(dict(options), self.requested)]
+    left_out = frozenset()
 
     def of(self, policy: Any) -> EpisodeVectorEnv:
         """Return these worlds, whatever the policy."""
@@ -59,8 +57,8 @@ class DatasetRecorder(Recorder):
     folder: Path
     format: str
     kind: Format
-    metadata: Mapping[str, Any]
-    """Metadata of the dataset that do not follow from its episodes."""
+    metadata: dict[str, Any]
+    """Metadata of the dataset that do not follow from its worlds and its episodes."""
     planned: int
     overwrite: bool
     failure: PolicyFailed | None = None
@@ -68,8 +66,10 @@ class DatasetRecorder(Recorder):
     _is_complete: bool = field(default=False, init=False)
     _num_kept: int = field(default=0, init=False)
 
-    def check(self) -> None:
-        """Raise `ResultsError` if the folder holds another dataset."""
+    def check(self, env: EpisodeVectorEnv, cell: Cell) -> None:
+        """Describe the dataset. Raise `ConfigurationError` or `ResultsError` if it cannot be recorded here."""
+        check_recordable(env)
+        self.metadata |= self.kind.describe(self.folder, cell.env, cell.env_options, env)
         if link := next((part for part in self._parts() if part.is_symlink()), None):
             raise ResultsError(f"{link} is a symbolic link, through which armctl does not write: choose another folder")
         if foreign := next((part for part in self._parts() if part.exists() and not self._is_own(part)), None):

@@ -26,12 +26,15 @@ class WorldsByInterface:
     Returns are the task's: `LEARNERS_ONLY` are left out. Raises `ConfigurationError` as `make_worlds` does.
     """
 
+    left_out = LEARNERS_ONLY
+    """Options that these worlds do not have."""
+
     def __init__(
         self, env: str, num_envs: int, options: Mapping[str, Any] | None = None, threads: int = 0, **how: Any
     ) -> None:
         self._env, self._interface = env, frozenset(task_of(env).interface_options)
         self._arguments: dict[str, Any] = {"num_envs": num_envs, "threads": threads, **how}
-        self._options = {name: value for name, value in (options or {}).items() if name not in LEARNERS_ONLY}
+        self._options = {name: value for name, value in (options or {}).items() if name not in self.left_out}
         self.requested: EpisodeVectorEnv = make_worlds(env, options=self._options, **self._arguments)
         """Environment with the requested interface."""
         self._envs = [(self._options, self.requested)]

@@ -61,6 +61,9 @@ class Recorder:
     recording: Callable[[EpisodeVectorEnv], Any] | None = None
     """Wrapper of the worlds that records their episodes."""
 
+    def check(self, env: EpisodeVectorEnv, cell: Cell) -> None:
+        """Check what is to be recorded of a cell, before anything is written. Raises `ArmctlError`."""
+
     def open(self) -> None:
         """Prepare the folder, to which no other process writes by now. Raises `ResultsError`."""
 
@@ -239,6 +242,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         policies = _policies(cell, interfaces, session.policy_seed, events)
         line = _Line(cell, plan, session.policy_seed, recorder, interfaces, policies)
         notes = _notes(line, task)
+        recorder.check(line.env, cell)
         store.open(plan.seed, [other.name for other in plan.cells])
         recorder.open()
         keys = {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
