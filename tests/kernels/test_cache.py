@@ -48,13 +48,12 @@ def test_damage_is_compiled_again(tmp_path):
     home = tmp_path / "cache"
     assert run(tmp_path, home) == 0
     assert run(tmp_path, home) == 1
-    for suffix in (".nbi", ".nbc"):
-        for damage in (b"", b"\x80", b"what"):
-            for path in cached(home):
-                if path.suffix == suffix:
-                    path.write_bytes(damage)
-            assert run(tmp_path, home) == 0, (suffix, damage)
-            assert run(tmp_path, home) == 1, (suffix, damage)
+    for suffix, damage in [(".nbi", b""), (".nbi", b"what"), (".nbc", b"\x80")]:
+        for path in cached(home):
+            if path.suffix == suffix:
+                path.write_bytes(damage)
+        assert run(tmp_path, home) == 0, (suffix, damage)
+        assert run(tmp_path, home) == 1, (suffix, damage)
 
 
 @pytest.mark.slow
