@@ -117,13 +117,13 @@ def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
     ]
     for k in range(1, episodes):
         length = int(rng.integers(max(2, first.length // 2), first.length + 1))
-        noise = 1 + 0.1 * rng.standard_normal(len(measured) + 1)
-        values = [factor * getattr(first.metrics, name) for factor, name in zip(noise, measured, strict=False)]
+        noise = 1 + 0.1 * rng.standard_normal(len(measured))
+        values = [factor * getattr(first.metrics, name) for factor, name in zip(noise, measured, strict=True)]
         metrics = replace(first.metrics, **dict(zip(measured, values, strict=True)), first_call_ms=np.nan)
         decision_ms = np.round(rng.lognormal(np.log(metrics.decision_ms_p50), 0.5, length), 4)
         won = bool(first.success and rng.random() < 0.95)
         yield replace(
-            first, episode=k, success=won, total_reward=float(first.total_reward * noise[-1]), length=length,
+            first, episode=k, success=won, total_reward=first.total_reward * rng.uniform(0.9, 1.0), length=length,
             metrics=metrics, decision_ms=decision_ms,
         )  # fmt: skip
 
