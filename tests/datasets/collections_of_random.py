@@ -34,5 +34,6 @@ def same_dataset(out, other):
 
 
 def wait_for_episodes(process, out, count):
-    while process.poll() is None and len(list((out / "unfinished").glob("episode_*.npz"))) < count:
+    """Wait until so many episodes are finished: the result of the last one is written after its observations."""
+    while process.poll() is None and len(list((out / "unfinished").glob("episode_*.npz"))) <= count:
         time.sleep(0.005)

@@ -14,24 +14,7 @@ from armctl.core.errors import ArmctlError, ResultsError
 from armctl.tuning import candidate_of, tune
 from armctl.tuning.journal import JOURNAL
 
-from .test_tune import RECIPE
-
-
-def expert():
-    return candidate_of("reach_mpc", episodes=2)
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A tuning of two trials; the folder."""
-    folder = tmp_path_factory.mktemp("finished")
-    tune(expert(), folder, trials=2)
-    return folder
-
-
-@pytest.fixture
-def folder(finished, tmp_path):
-    return shutil.copytree(finished, tmp_path / "tuning")
+from .small_tunings import RECIPE, expert
 
 
 def records(folder):
@@ -58,9 +41,9 @@ VALUES = st.one_of(
 @pytest.mark.slow
 @settings(max_examples=40)
 @given(data=st.data())
-def test_any_journal_is_refused_or_works(finished, tmp_path_factory, data):
+def test_any_journal_is_refused_or_works(one_trial, tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("mutated") / "tuning"
-    shutil.copytree(finished, folder)
+    shutil.copytree(one_trial, folder)
     changed = records(folder)
     at = data.draw(st.integers(0, len(changed) - 1))
     *above, last = data.draw(st.sampled_from(list(places(changed[at]))[1:]))
@@ -79,42 +62,43 @@ def test_any_journal_is_refused_or_works(finished, tmp_path_factory, data):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('"folder": "0001"', '"folder": "../../elsewhere"', "notes of trial 1"),
-        ('"folder": "0001"', '"folder": "/tmp"', "notes of trial 1"),
+        ('"folder": "0000"', '"folder": "../../elsewhere"', "notes of trial 0"),
+        ('"folder": "0000"', '"folder": "/tmp"', "notes of trial 0"),
         ('"directions": [2]', '"directions": [1]', "minimises"),
         ('"processor_seconds": ', '"processor_seconds": -', "notes of trial"),
         ('"scores": [', '"scores": ["', "damaged"),
     ],
 )
-def test_what_armctl_does_not_write_is_refused(folder, old, new, says):
-    text = (folder / JOURNAL).read_text()
+def test_what_armctl_does_not_write_is_refused(begun, old, new, says):
+    text = (begun / JOURNAL).read_text()
     compact = {part: part.replace(": ", ":").replace(", ", ",") for part in (old, new)}
     if old not in text:
         old, new = compact[old], compact[new]
     assert old in text
-    (folder / JOURNAL).write_text(text.replace(old, new))
+    (begun / JOURNAL).write_text(text.replace(old, new))
     with pytest.raises(ResultsError, match=says):
-        tune(expert(), folder, trials=3)
+        tune(expert(), begun, trials=2)
 
 
-def test_values_beyond_their_range_are_refused(folder):
+def test_values_beyond_their_range_are_refused(begun):
     path = next(path for path, value_range in expert().space.items() if not value_range.choices)
-    changed = records(folder)
+    changed = records(begun)
     for record in changed:
         if record.get("param_name") == path:
             record["param_value_internal"] = 1e9
-    write(folder, changed)
+    write(begun, changed)
     with pytest.raises(ResultsError, match="outside its range"):
-        tune(expert(), folder, trials=3)
+        tune(expert(), begun, trials=2)
 
 
 @pytest.mark.parametrize("relative", [False, True])
-def test_a_lock_that_outlived_its_process_is_removed(folder, relative, monkeypatch):
+def test_a_lock_that_outlived_its_process_is_removed(begun, relative, monkeypatch):
+    folder = begun
     if relative:
-        monkeypatch.chdir(folder.parent)
-        folder = Path(folder.name)
+        monkeypatch.chdir(begun.parent)
+        folder = Path(begun.name)
     os.symlink(JOURNAL if relative else folder / JOURNAL, folder / f"{JOURNAL}.lock")
-    assert len(tune(expert(), folder, trials=2).trials) == 2
+    assert len(tune(expert(), folder, trials=1).trials) == 1
     assert not os.path.lexists(folder / f"{JOURNAL}.lock")
 
 

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import multiprocessing
 import os
-import shutil
 import signal
 import tomllib
 from pathlib import Path
@@ -26,50 +25,9 @@ from armctl.tuning.candidates import BLOCK, Pruned, RecipeCandidate
 from armctl.tuning.journal import JOURNAL, TUNING
 from armctl.tuning.trials import measure
 
-RECIPE = """
-learner = "bc"
-env = "armctl/ArmReach-v0"
-teacher = "reach_ik"
+from .small_tunings import RECIPE, expert
 
-[options]
-demonstrations = 4
-steps = 60
-worlds = 4
-evaluation_every = 20
-validation_episodes = 4
-evaluation_episodes = 4
-learning_rate = 1e-3
-hidden_units = 16
-
-[tune.options]
-learning_rate = { low = 1e-4, high = 1e-2, log = true }
-hidden_units = { choices = [8, 16] }
-"""
 CRASHING = RECIPE.replace("low = 1e-4, high = 1e-2", "low = 1e-4, high = 1e300")
-
-
-@pytest.fixture
-def recipe(tmp_path):
-    file = tmp_path / "small.toml"
-    file.write_text(RECIPE)
-    return str(file)
-
-
-def expert(episodes=3, **options):
-    return candidate_of("reach_mpc", episodes=episodes, **options)
-
-
-@pytest.fixture(scope="module")
-def one_trial(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("one_trial")
-    tune(expert(), folder, trials=1)
-    return folder
-
-
-@pytest.fixture
-def begun(one_trial, tmp_path):
-    """The folder of a tuning with one trial."""
-    return shutil.copytree(one_trial, tmp_path / "begun")
 
 
 def test_the_first_trial_is_the_present_values(tmp_path):

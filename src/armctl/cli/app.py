@@ -1,6 +1,5 @@
 """The command line's application, to which each verb adds itself."""
 
-import contextlib
 import functools
 import inspect
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from armctl import __version__
-from armctl.cli.standard_output import kept_for_a_document
+from armctl.cli.standard_output import TABLE, standard_output
 
 app = typer.Typer(
     help="Compare planners and controllers with learned agents, on the same robot episodes.\n\n"
@@ -68,8 +67,7 @@ def verb(function: Callable[[Request], None]) -> Callable[[Request], None]:
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
-        is_table = str(options.get("table_format", "table")) == "table"
-        with contextlib.nullcontext() if is_table else kept_for_a_document():
+        with standard_output(options.get("table_format", TABLE)):
             function(request(**options))
 
     command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # which Typer reads

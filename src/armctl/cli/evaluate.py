@@ -8,6 +8,7 @@ import typer
 from armctl.cli import completion
 from armctl.cli.app import app
 from armctl.cli.options import Format, TableFormat, make_report, print_document, seed_of
+from armctl.cli.standard_output import standard_output
 
 
 @app.command()
@@ -136,9 +137,10 @@ def reproduce(
     for agent in agents:
         card_path(agent)  # a misspelt name is told before the first agent plays
     again = []
-    for agent in agents:
-        with PlainConsole(stderr=True).status(Text(f"{agent}: playing its episodes again")):
-            again.append(run_again(agent, seed=seed, worlds=worlds, env=env))
-    print_document(reproduction_document(again), table_format)
+    with standard_output(table_format):
+        for agent in agents:
+            with PlainConsole(stderr=True).status(Text(f"{agent}: playing its episodes again")):
+                again.append(run_again(agent, seed=seed, worlds=worlds, env=env))
+        print_document(reproduction_document(again), table_format)
     if not all(reproduction.agrees for reproduction in again):
         raise typer.Exit(1)

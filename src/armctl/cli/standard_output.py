@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import IO, Any
 
+TABLE = "table"
 _streams: list[IO[str]] = []
 """The document's stream, while standard output is kept for it."""
 
@@ -17,8 +18,14 @@ def document_stream() -> IO[str]:
 
 
 @contextlib.contextmanager
-def kept_for_a_document() -> Iterator[None]:
-    """Send everything but a document to standard error, also what libraries write to the file descriptor."""
+def standard_output(table_format: str) -> Iterator[None]:
+    """Keep standard output for a document, unless the format is a table: all else goes to standard error.
+
+    That holds for what libraries write to the file descriptor, too.
+    """
+    if table_format == TABLE:
+        yield
+        return
     output = sys.stdout
     output.flush()
     saved = os.dup(1)

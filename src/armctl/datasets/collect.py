@@ -14,7 +14,7 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import remember_named
 from armctl.core.seeds import check_training_data_seed
 from armctl.datasets.formats import load_format
-from armctl.datasets.recorder import DatasetRecorder
+from armctl.datasets.recorder import DatasetRecorder, totals
 from armctl.envs import full_id
 from armctl.episodes.failures import PolicyDisqualified, PolicyFailed
 from armctl.episodes.stored import UNDISTURBED
@@ -100,8 +100,7 @@ def collect(
     results = comparison.results
     if not len(results):
         raise ResultsError(f"no episode was finished: there is no dataset in {out}")
-    steps, successes = int(results.column("length").sum()), sum(map(bool, results.column("success")))
-    return Collection(folder, len(results), steps, successes, comparison.facts.resumed, comparison.facts.interrupted)
+    return Collection(folder, *totals(results), comparison.facts.resumed, comparison.facts.interrupted)
 
 
 def _raise_failures(comparison: Comparison, recorder: DatasetRecorder) -> None:

@@ -124,16 +124,18 @@ class DatasetRecorder(Recorder):
             shutil.rmtree(unfinished, ignore_errors=True)
         if self._is_complete or "results" in comparison.failures or not len(comparison.results):
             return
-        outcomes = {result.episode: result.outcome for result in comparison.results}
+        results = comparison.results
+        outcomes = dict(zip(results.column("episode").tolist(), results.column("outcome").tolist(), strict=True))
+        num_episodes, num_steps, num_successes = totals(results)
         metadata = {
             **self.metadata,
             FORMAT: FORMAT_NUMBER,
             "sees": comparison.facts.policies[self.metadata["algorithm_name"]].sees,
             "identity": {**comparison.identity, "format": self.format},
-            "total_episodes": len(outcomes),
-            "total_steps": int(comparison.results.column("length").sum()),
+            "total_episodes": num_episodes,
+            "total_steps": num_steps,
             "outcomes": dict(sorted(Counter(outcomes.values()).items())),
-            "successes": sum(map(bool, comparison.results.column("success"))),
+            "successes": num_successes,
         }
         built_parts = [unfinished / part for part in self.kind.PARTS]
         try:
@@ -149,7 +151,7 @@ class DatasetRecorder(Recorder):
             for part in built_parts:
                 shutil.rmtree(part, ignore_errors=True)
             raise self._not_written(error) from error
-        if len(outcomes) == self.planned:
+        if num_episodes == self.planned:
             shutil.rmtree(unfinished)
 
     def _episodes(self, outcomes: Mapping[int, str], seed: int) -> Iterator[tuple[Demonstration, dict[str, Any]]]:
@@ -192,6 +194,11 @@ class DatasetRecorder(Recorder):
         """Return the error for a disk that is full, or the like: it says what is kept."""
         kept = f". Its {self._num_kept} finished episodes are kept: the same command resumes" if self._num_kept else ""
         return ResultsError(f"the dataset could not be written to {self.folder}: {error.strerror or error}{kept}")
+
+
+def totals(results: EpisodeTable) -> tuple[int, int, int]:
+    """Return the numbers of episodes, of control steps and of successes."""
+    return len(results), int(results.column("length").sum()), sum(map(bool, results.column("success")))
 
 
 def _text(file: Path) -> str:

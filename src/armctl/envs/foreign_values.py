@@ -34,16 +34,10 @@ def parts(value: Any, names: tuple[str, ...], method: str, env: Any) -> tuple[An
 def number(value: Any, name: str) -> float:
     """Return a real number, or the one number of an array."""
     element = _single(value)
-    if isinstance(element, (Real, np.bool_)):
-        return float(element)
     try:
-        if (
-            not isinstance(element, (str, bytes, complex))
-            and element is not None
-            and not isinstance(element, np.complexfloating)
-        ):
+        if not isinstance(element, (str, bytes, np.complexfloating)):
             return float(element)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pass
     raise EnvironmentFailed(f"{name} is {_quoted(value)}, not a number")
 

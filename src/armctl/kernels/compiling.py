@@ -4,7 +4,6 @@ import contextlib
 import hashlib
 import os
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -63,7 +62,8 @@ def _cache_folder() -> Path | None:
         if folder.stat().st_uid != os.getuid():
             return None
         folder.chmod(0o700)
-        tempfile.TemporaryFile(dir=folder).close()
+        if not os.access(folder, os.W_OK):
+            return None
     except (OSError, RuntimeError):  # RuntimeError: no home
         return None
     if is_new:
