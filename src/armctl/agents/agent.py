@@ -202,12 +202,15 @@ class OnnxPolicy:
         self.card, self.sees, self.family = card, card.sees, card.family
         self.training_steps, self.training_cost = card.training_steps, card.cost
         self._graph = AgentGraph(graph)
-        observed = list(card.observation_shape) if isinstance(card.observation_shape, dict) else [INPUT]
-        expected, outputs = [*observed, *card.memory], [OUTPUT, *(NEXT + name for name in card.memory)]
-        inputs_ = list(self._graph.dtypes)
-        if (sorted(inputs_), self._graph.outputs) != (sorted(expected), outputs):
+        observed = (
+            card.observation_shape if isinstance(card.observation_shape, dict) else {INPUT: card.observation_shape}
+        )
+        inputs_, outputs = self._graph.inputs, list(self._graph.outputs.items())
+        expected = [*observed.items(), *card.memory.items()]
+        returned = [(OUTPUT, card.action_shape), *((NEXT + name, shape) for name, shape in card.memory.items())]
+        if (sorted(inputs_.items()), outputs) != (sorted(expected), returned):
             raise AgentFileError(
-                f"{graph} maps {inputs_} to {self._graph.outputs}; by its card, it maps {expected} to {outputs}"
+                f"{graph} maps {inputs_} to {dict(outputs)}; by its card, it maps {dict(expected)} to {dict(returned)}"
             )
         self._memory: dict[str, NDArray[np.float32]] = {}
 

@@ -1,7 +1,8 @@
 """An agent's ONNX graph: what is accepted from a stranger, and what makes it act alike in any number of worlds.
 
 A graph is data: it has standard operators without control flow, all of its numbers are in its own file, and the sizes
-of all arrays are known beforehand.
+of all arrays are known beforehand. It runs in this process: what would end the process is refused by its operators,
+since a trial in another process would show only what happens with the trial's numbers.
 """
 
 import math
@@ -28,12 +29,18 @@ LARGEST_FILE = 2**28
 """Bytes."""
 MAX_NODES = 10_000
 MAX_NUMBERS = 50_000_000
-"""Limit on the numbers in all arrays that a graph computes for two worlds."""
+"""Limit on the numbers in all arrays that a graph takes and computes for two worlds."""
 MAX_SLICES = 100
+LARGEST_SIZES = 10_000
+"""Bytes of an array that may be sizes of others. The numbers in larger ones do not matter to sizes."""
 MAX_WORK = 2_000_000_000
 """Multiplications in products, convolutions and recurrent layers for two worlds."""
 LONGEST_TRIAL = 10.0
-"""s, of one control step."""
+"""s, of the first control steps."""
+TRIED_WORLDS = 5
+"""More than onnxruntime computes together, so that their outputs come from a batch of another size than one world's."""
+ROUNDING = 1e-3
+"""Limit on relative differences between outputs that count as alike, whatever the processor."""
 
 OPERATORS = frozenset({
     "Abs", "Add", "And", "ArgMax", "ArgMin", "AveragePool", "BatchNormalization", "Cast", "Ceil", "Clip", "Concat",
@@ -63,10 +70,13 @@ class AgentGraph:
         self._path = path
         model = _read(path)
         _check_operators(model, path)
-        _check_sizes(model, path)
-        self.numbers = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+        self.numbers = _constants(model, path)
         """Its constants, by name."""
-        self._mixes_rows = any(node.op_type in MIXING for node in model.graph.node)
+        size = _check_sizes(model, self.numbers, path)
+        self._batch = max(TOGETHER, MAX_NUMBERS // max(size, 1) * TOGETHER)
+        """Worlds that are computed at once: more would take more memory than the limits allow."""
+        if any(node.op_type in MIXING for node in model.graph.node):
+            self._batch = 1
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.log_severity_level = 4
@@ -81,37 +91,56 @@ class AgentGraph:
             raise _refused(path, f"onnxruntime cannot run it: {error}") from error
         self.dtypes = {value.name: DTYPES.get(value.type) for value in self._session.get_inputs()}
         """Types of the inputs, by name."""
-        self.outputs = [value.name for value in self._session.get_outputs()]
-        self._try()
+        self.inputs = {value.name: list(value.shape[1:]) for value in self._session.get_inputs()}
+        """Shapes of one world's inputs, by name."""
+        self._names = [value.name for value in self._session.get_outputs()]
+        if None in (*self.dtypes.values(), *(DTYPES.get(value.type) for value in self._session.get_outputs())):
+            raise _refused(path, f"its inputs and outputs are to be one of {', '.join(DTYPES)}")
+        self.outputs = dict(zip(self._names, self._tried_shapes(), strict=True))
+        """Shapes of one world's outputs, by name, in their order."""
 
     def run(self, arrays: dict[str, NDArray[Any]], **options: Any) -> list[NDArray[Any]]:
         """Return the outputs (n, ...) for the inputs (n, ...). A world's outputs do not depend on other worlds."""
         num_envs = len(next(iter(arrays.values())))
-        if self._mixes_rows and num_envs > 1:
-            rows = [self.run({name: values[i : i + 1] for name, values in arrays.items()}) for i in range(num_envs)]
-            return [np.concatenate(outputs) for outputs in zip(*rows, strict=True)]
+        if num_envs > self._batch:
+            starts = range(0, num_envs, self._batch)
+            parts = [{name: values[i : i + self._batch] for name, values in arrays.items()} for i in starts]
+            outputs = [self.run(part, **options) for part in parts]
+            return [np.concatenate(batches) for batches in zip(*outputs, strict=True)]
         if missing := -num_envs % TOGETHER:
             arrays = {
                 name: np.concatenate((values, values[-1:].repeat(missing, axis=0))) for name, values in arrays.items()
             }
-        return [np.asarray(values)[:num_envs] for values in self._session.run(self.outputs, arrays, **options)]
+        computed = [np.asarray(values) for values in self._session.run(self._names, arrays, **options)]
+        if any(values.shape[:1] != (num_envs + missing,) for values in computed):
+            raise ValueError("an output does not have a row for each world")
+        return [values[:num_envs] for values in computed]
 
-    def _try(self) -> None:
-        """Make one control step of two worlds, with an end."""
-        zeros = {
-            value.name: np.zeros([2, *value.shape[1:]], dtype=self.dtypes[value.name])
-            for value in self._session.get_inputs()
+    def _tried_shapes(self) -> list[list[int]]:
+        """Make a control step of some worlds, together, permuted and alone, and return the shapes of one's outputs."""
+        rng = np.random.default_rng(0)
+        arrays = {
+            name: rng.uniform(0, 1 if np.issubdtype(kind, np.floating) else 2, (TRIED_WORLDS, *self.inputs[name]))
+            for name, kind in self.dtypes.items()
         }
+        arrays = {name: values.astype(self.dtypes[name]) for name, values in arrays.items()}
         limit = onnxruntime.RunOptions()
         clock = threading.Timer(LONGEST_TRIAL, setattr, (limit, "terminate", True))
         clock.start()
         try:
-            self.run(zeros, run_options=limit)
+            together = self.run(arrays, run_options=limit)
+            for ids in ([*range(1, TRIED_WORLDS), 0], [0]):
+                part = self.run({name: values[ids] for name, values in arrays.items()}, run_options=limit)
+                if not all(
+                    np.allclose(a[ids], b, rtol=ROUNDING, equal_nan=True) for a, b in zip(together, part, strict=True)
+                ):
+                    raise ValueError("a world's outputs depend on other worlds")
         except Exception as error:
-            slow = f"a control step takes more than {LONGEST_TRIAL:g} s"
-            raise _refused(self._path, slow if limit.terminate else f"onnxruntime cannot run it: {error}") from error
+            slow = f"trying it takes more than {LONGEST_TRIAL:g} s"
+            raise _refused(self._path, slow if limit.terminate else f"it cannot be run: {error}") from error
         finally:
             clock.cancel()
+        return [list(values.shape[1:]) for values in together]
 
 
 def _read(path: Path) -> ModelProto:
@@ -138,6 +167,25 @@ def _check_operators(model: ModelProto, path: Path) -> None:
         raise _refused(path, "some of its numbers are in another file")
 
 
+def _constants(model: ModelProto, path: Path) -> dict[str, NDArray[Any]]:
+    """Return all constant arrays of a graph by name. Raises `AgentFileError` if one is not what it says."""
+    tensors = [(tensor.name, tensor) for tensor in model.graph.initializer]
+    tensors += [
+        (node.output[0], attribute.t)
+        for node in model.graph.node
+        if node.op_type == "Constant" and node.output
+        for attribute in node.attribute
+        if attribute.name == "value"
+    ]
+    try:
+        constants = {name: onnx.numpy_helper.to_array(tensor) for name, tensor in tensors}
+    except Exception as error:  # NumPy's and onnx's are of several kinds
+        raise _refused(path, f"one of its constant arrays is broken: {error}") from error
+    if len(constants) < len(tensors):
+        raise _refused(path, "two of its constant arrays have one name")
+    return constants
+
+
 def _tensors(model: ModelProto) -> Iterator[TensorProto]:
     yield from model.graph.initializer
     for node in model.graph.node:
@@ -146,25 +194,20 @@ def _tensors(model: ModelProto) -> Iterator[TensorProto]:
             yield from attribute.tensors
 
 
-def _check_sizes(model: ModelProto, path: Path) -> None:
-    """Check that all arrays have sizes that are known beforehand, and are not too large together."""
-    two_worlds = ModelProto()
-    two_worlds.CopyFrom(model)
-    initialised = {tensor.name for tensor in model.graph.initializer}
-    for value in two_worlds.graph.input:
-        if value.name not in initialised and (dims := value.type.tensor_type.shape.dim):
-            dims[0].dim_value = 2
-    for output in two_worlds.graph.output:
-        output.type.tensor_type.ClearField("shape")  # it names the number of worlds
-    del two_worlds.graph.value_info[:]  # what the file says of sizes in between
+def _check_sizes(model: ModelProto, constants: dict[str, NDArray[Any]], path: Path) -> int:
+    """Return how many numbers the graph takes and computes for two worlds; check that all sizes are known and bounded.
+
+    Raises `AgentFileError`.
+    """
+    two_worlds = _for_two_worlds(model)
     _check_slices(two_worlds, path)
     graph = _inferred(two_worlds, path).graph
-    _check_divisors(graph, path)
+    _check_divisors(graph, constants, path)
     values = (*graph.input, *graph.value_info, *graph.output)
     shapes = {value.name: _shape(value) for value in values}
     shapes |= {tensor.name: list(tensor.dims) for tensor in graph.initializer}
-    unknown = [value.name for value in graph.input if shapes[value.name] is None]
-    numbers = work = 0
+    unknown = [value.name for value in graph.input if not shapes[value.name]]
+    numbers, work = sum(math.prod(shapes[value.name] or [0]) for value in graph.input), 0
     for node in graph.node:
         inputs = [shapes.get(name) for name in node.input]
         for name in filter(None, node.output):
@@ -179,27 +222,37 @@ def _check_sizes(model: ModelProto, path: Path) -> None:
     if numbers > MAX_NUMBERS or work > MAX_WORK:
         raise _refused(
             path,
-            f"for two worlds, it computes {numbers:,} numbers with {work:,} multiplications, more than "
+            f"for two worlds, it takes and computes {numbers:,} numbers with {work:,} multiplications, more than "
             f"{MAX_NUMBERS:,} or {MAX_WORK:,}",
         )
+    return numbers
 
 
-def _check_divisors(graph: GraphProto, path: Path) -> None:
+def _for_two_worlds(model: ModelProto) -> ModelProto:
+    """Return the model as it is for two worlds, without what the file says of sizes, and without large arrays' numbers."""
+    two_worlds = ModelProto()
+    two_worlds.CopyFrom(model)
+    initialised = {tensor.name for tensor in model.graph.initializer}
+    for value in two_worlds.graph.input:
+        if value.name not in initialised and (dims := value.type.tensor_type.shape.dim):
+            dims[0].dim_value = 2
+    for output in two_worlds.graph.output:
+        output.type.tensor_type.ClearField("shape")  # it names the number of worlds
+    del two_worlds.graph.value_info[:]  # what the file says of sizes in between
+    for tensor in _tensors(two_worlds):
+        if tensor.ByteSize() > LARGEST_SIZES:
+            tensor.CopyFrom(TensorProto(name=tensor.name, data_type=tensor.data_type, dims=tensor.dims))
+    return two_worlds
+
+
+def _check_divisors(graph: GraphProto, constants: dict[str, NDArray[Any]], path: Path) -> None:
     """Check that whole numbers are divided by positive constants only: by 0 or -1, the processor ends the process."""
-    constants = {tensor.name: tensor for tensor in graph.initializer}
-    constants |= {
-        node.output[0]: attribute.t
-        for node in graph.node
-        if node.op_type == "Constant"
-        for attribute in node.attribute
-        if attribute.name == "value"
-    }
     types = {value.name: value.type.tensor_type.elem_type for value in (*graph.input, *graph.value_info, *graph.output)}
     for node in graph.node:
         if node.op_type != "Div" or types.get(node.output[0]) in FLOATS:
             continue
         divisor = constants.get(node.input[1])
-        if divisor is None or not (onnx.numpy_helper.to_array(divisor) > 0).all():
+        if divisor is None or not (divisor > 0).all():
             raise _refused(path, f"it divides whole numbers by {node.input[1]!r}, which may be 0 or negative")
 
 
@@ -248,7 +301,9 @@ def _inferred(model: ModelProto, path: Path) -> ModelProto:
 
 def _shape(value: ValueInfoProto) -> list[int] | None:
     kind = value.type.tensor_type
-    if not kind.HasField("shape") or not all(dim.HasField("dim_value") for dim in kind.shape.dim):
+    if not kind.HasField("shape") or not all(
+        dim.HasField("dim_value") and dim.dim_value >= 0 for dim in kind.shape.dim
+    ):
         return None
     return [int(dim.dim_value) for dim in kind.shape.dim]
 

@@ -32,11 +32,13 @@ def spoilt(agent):
     foreign = foreign_graph()
     its_card = json.dumps(card | {"sha256": hashlib.sha256(foreign).hexdigest()}).encode()
     other_memory = json.dumps(card | {"memory": {"lstm": [8]}}).encode()
+    longer_memory = json.dumps(card | {"memory": card["memory"] | {"begun": [2**40]}}).encode()
     return [
         ("changed, or damaged", {"agent.onnx": graph[:-1] + b"x"}),
         ("changed, or damaged", {"agent.json": card_path("reach_bc").read_bytes()}),
         ("do not use the operator 'com.evil.Loader'", {"agent.onnx": foreign, "agent.json": its_card}),
         ("by its card, it maps", {"agent.json": other_memory}),
+        ("by its card, it maps", {"agent.json": longer_memory}),
         ("not an agent's card", {"agent.json": b"\x80\x04cos\nsystem"}),
         ("has no agent.json", {"agent.json": None}),
         ("has no agent.onnx", {"agent.onnx": None}),
@@ -48,7 +50,7 @@ def spoilt(agent):
     ]
 
 
-@pytest.mark.parametrize("case", range(12))
+@pytest.mark.parametrize("case", range(13))
 def test_what_is_not_whole_is_refused_and_not_written(hub, agent, monkeypatch, case, request):
     says, changes = spoilt(agent)[case]
     published(hub, agent, **changes)
