@@ -5,6 +5,10 @@ from scipy import stats
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel, Ik, Workspace
 
+from ..robot_description.small_arm import chain_of
+
+AXES = {"X": "1 0 0", "Y": "0 1 0", "Z": "0 0 1"}
+
 CLEARANCE = 0.05
 
 
@@ -105,3 +109,40 @@ def test_tolerance_reaches_just_beyond_the_edge(workspace):
 
 def test_tolerance_adds_and_never_takes_away(workspace, samples):
     assert all(workspace.reachable(position, tolerance) for position in samples[:50] for tolerance in (0.01, 0.1))
+
+
+ODD_ARMS = {
+    "two joints about one axis": "ZYYYZZ",
+    "two axes for six joints": "ZYYYYY",
+    "five": "ZYYYX",
+    "four": "ZYYX",
+    "three": "ZYY",
+    "in a plane": "YYY",
+    "on a sphere": "ZY",
+    "on a circle": "Y",
+}
+
+
+@pytest.mark.parametrize("axes", ODD_ARMS.values(), ids=ODD_ARMS)
+def test_an_arm_of_any_joints_reaches_where_it_has_been(tmp_path, axes):
+    path = tmp_path / "arm.urdf"
+    path.write_text(chain_of([AXES[axis] for axis in axes], length=0.2))
+    model = ArmModel(path)
+    workspace, rng = Workspace(model), np.random.default_rng(1)
+    q = model.random_configurations(rng, 200)
+    positions = model.positions(q[model.are_free(q)][:20])
+    assert np.mean([workspace.reachable(position) for position in positions]) >= 0.9
+    drawn = np.array([workspace.sample(rng, 0.02) for _ in range(3)])
+    assert all(workspace.reachable(position, 1e-6) for position in drawn)
+    assert (drawn[:, 2] >= 0.02).all()
+    assert not workspace.reachable(model.shoulder + np.array([0, 0, 2 * workspace.radius]))
+
+
+def test_near_a_thin_workspace_is_within_reach_and_beyond_the_tolerance_is_not(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(chain_of([AXES["Y"]] * 3, length=0.2))
+    workspace = Workspace(ArmModel(path))
+    inside = workspace.sample(np.random.default_rng(0), 0.02)
+    assert workspace.is_thin
+    assert workspace.reachable(inside + np.array([0, 0.04, 0]), 0.05)
+    assert not workspace.reachable(inside + np.array([0, 0.06, 0]), 0.05)

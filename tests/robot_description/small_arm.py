@@ -45,6 +45,17 @@ GOOD = {
 }
 
 
+def chain_of(axes, kind="revolute", length=0.4):
+    """A straight arm along z with joints about these axes, and a tip without a shape behind them."""
+    names = ["base", *(f"l{i}" for i in range(1, len(axes) + 1))]
+    short = f'<cylinder radius=".03" length="{length * 0.6:g}"/>'
+    parts = [link(name, short) for name in names]
+    for i, axis in enumerate(axes):
+        parts.append(joint(f"j{i + 1}", names[i], names[i + 1], kind, axis=axis))
+    parts += ['<link name="tool"/>', joint("to_tool", names[-1], "tool", "fixed", limit="")]
+    return f'<robot name="chain">{"".join(parts)}</robot>'.replace("0 0 .4", f"0 0 {length:g}")
+
+
 FINGER = {"finger": link("finger", BOX), "slide": joint("slide", "l2", "finger", "prismatic")}
 
 

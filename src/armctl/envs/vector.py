@@ -97,6 +97,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         make_task: Any = task_type
         task_options = make_options(task_type.options_type, task_values, others=sorted(NAMES))
         self.task = make_task(self.num_envs, task_options, threads)
+        self.remarks |= dict.fromkeys(self.task.notes)
         self.outcomes = (*(outcome.label for outcome in task_type.outcomes), UNSTABLE, "running")
         self._successes = np.array([*(outcome.success for outcome in task_type.outcomes), False, False])
         self.disturbances = disturb(self.task, task_type.disturbances, general.disturbances)

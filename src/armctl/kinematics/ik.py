@@ -1,8 +1,9 @@
 """Inverse kinematics: configurations with the end-effector at a pose or a position, with their residuals.
 
-Poses are solved in closed form for the arms of `closed_forms`. Everything else is solved by Levenberg-Marquardt with
-error-proportional damping (Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method",
-T-RO 2011) from several starts.
+Poses are solved in closed form for the arms of `closed_forms`. Everything else, and arms whose closed form does not
+find what they reach (two joints about one axis, say), is solved by Levenberg-Marquardt with error-proportional damping
+(Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method", T-RO 2011) from several
+starts.
 """
 
 import functools
@@ -29,6 +30,10 @@ RIGID = 1e-6
 """Tolerance on the entries of a rotation times its transpose."""
 EXACT = 0.01
 """Fraction of the tolerance below which a residual is not improved any more."""
+
+
+OWN_POSITIONS = 8
+"""Positions on which a closed form is tried."""
 
 
 @options
@@ -86,10 +91,13 @@ class Ik:
         self.model = model
         self.options = options or IkOptions()
         self._six_joints = six_joints(model)
+        """The closed form for positions as well, if it is of use for them."""
         rng = np.random.default_rng(self.options.rng_seed)
         self._random_starts = model.random_configurations(rng, self.options.starts)
         self._orientations = Rotation.random(self.options.starts, rng=rng).as_matrix()
         self._full_turn = model.limits.upper - model.limits.lower >= 2 * np.pi - 1e-6
+        if self._six_joints is not None and not self._reaches_own_positions():
+            self._six_joints = None
 
     @functools.cached_property
     def closed_form(self) -> ClosedForm | None:
@@ -167,6 +175,12 @@ class Ik:
             pose[:3, :3] = orientation
             q, approximate = self._six_joints(pose)
             yield q[~approximate]
+
+    def _reaches_own_positions(self) -> bool:
+        """Return True if `configurations` finds most of some positions where the arm can be."""
+        positions = self.model.positions(self._random_starts[:OWN_POSITIONS])
+        reached = [any(self.model.within_limits(q).any() for q in self.configurations(at)) for at in positions]
+        return 2 * sum(reached) > len(reached)
 
     def _checked(self, seed: Array | None, count: int | None) -> Array:
         if count is not None and count < 1:

@@ -7,6 +7,9 @@ from armctl.core.errors import ConfigurationError
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
 
+RANK = 1e-4
+"""m/rad: a direction in which no joint moves the end-effector faster is not commanded."""
+
 
 class Workspace:
     """The positions that an arm reaches without touching itself or the floor."""
@@ -19,17 +22,24 @@ class Workspace:
         reach = np.linalg.norm(model.positions(samples) - self.centre, axis=-1).max()
         self.radius = 1.05 * float(reach)
         """Radius (m) of a ball around `centre` that contains the workspace."""
+        self.is_thin = max(np.linalg.matrix_rank(model.jacobian(q)[:3], RANK) for q in samples[:16]) < 3
+        """True if the workspace is a curve or a surface, which no random position of a ball lies on."""
 
     def sample(self, rng: np.random.Generator, clearance: float, attempts: int = 1000) -> Array:
         """Draw a reachable position (3,) uniformly, at least `clearance` (m) from floor and base.
 
-        Raises `ConfigurationError` if none is found in `attempts` draws.
+        If that fails in `attempts` draws, or the workspace is thin, it is one of a random configuration instead.
+        Raises `ConfigurationError` if that fails too.
         """
         low, high = self.centre - self.radius, self.centre + self.radius
         low[2] = min(clearance, high[2])
-        for _ in range(attempts):
+        for _ in range(0 if self.is_thin else attempts):
             position = rng.uniform(low, high)
             if self.model.base_distance(position) >= clearance and self.reachable(position):
+                return np.asarray(position)
+        configurations = self.model.random_configurations(rng, attempts)
+        for position in self.model.positions(configurations[self.model.are_free(configurations)]):
+            if position[2] >= low[2] and self.model.base_distance(position) >= clearance:
                 return np.asarray(position)
         raise ConfigurationError(
             f"{self.model.description.name} reaches none of {attempts} positions at {clearance} m from floor and base"
@@ -46,6 +56,10 @@ class Workspace:
             return False
         if self._is_free(position):
             return True
+        if self.is_thin:
+            nearest = self.ik.position(position)
+            allowed = self.model.within_limits(nearest.closest) and self.model.is_free(nearest.closest)
+            return bool(nearest.closest_residual <= tolerance and allowed)
         near = position + 0.999 * tolerance * _DIRECTIONS
         return tolerance > 0 and any(self._is_free(point) for point in near)
 

@@ -19,6 +19,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.kernels.drives import DRIVE
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing
+from armctl.robot_description.notes import notes_on_kinematics, tell
 from armctl.robot_description.urdf import Shape, Urdf
 from armctl.robot_description.xml_file import impossible_pairs
 
@@ -108,6 +109,8 @@ class ArmDescription:
     capsules: tuple[Capsule, ...]
     meshes: tuple[Shape, ...]
     collision_pairs: tuple[Pair, ...]
+    notes: tuple[str, ...] = ()
+    """Repairs, omissions and assumptions of the reader of a file, a sentence each; none for named arms."""
 
     @property
     def dof(self) -> int:
@@ -156,8 +159,8 @@ def load_arm(
                 f"the arm {robot.name!r} is loaded already: pass the options to the load_arm call that loads it"
             )
         return robot
-    if isinstance(robot, str) and robot in BUILTIN_ARMS:
-        builtin = BUILTIN_ARMS[robot]
+    builtin = BUILTIN_ARMS.get(robot) if isinstance(robot, str) else None
+    if builtin is not None:
         path, tip, srdf = robot_data() / builtin.urdf, tip or builtin.tip, srdf or robot_data() / builtin.srdf
         home = builtin.home if home is None else home
         max_acceleration = builtin.max_acceleration if max_acceleration is None else max_acceleration
@@ -173,7 +176,7 @@ def load_arm(
     acceleration = _as_tuple("max_acceleration", MAX_ACCELERATION if max_acceleration is None else max_acceleration)
     jerk = _as_tuple("max_jerk", MAX_JERK if max_jerk is None else max_jerk)
     home = None if home is None else _as_tuple("home", home)
-    return _read_arm(path, edited, tip, home, srdf, acceleration, jerk)
+    return _read_arm(path, edited, tip, home, srdf, acceleration, jerk, builtin is not None)
 
 
 def _existing(path: Path) -> Path:
@@ -202,8 +205,9 @@ def _read_arm(
     srdf: Path | None,
     max_acceleration: tuple[float, ...],
     max_jerk: tuple[float, ...],
+    builtin: bool,
 ) -> ArmDescription:
-    """Read a file; `edited` (ns) tells its versions apart in the cache."""
+    """Read a file; `edited` (ns) tells its versions apart in the cache. Only an arm that is not `builtin` has notes."""
     source = Urdf(path, tip, package=robot_data().parent)
     dof = len(source.joints)
     acceleration = _limit("max_acceleration", max_acceleration, dof)
@@ -219,6 +223,8 @@ def _read_arm(
         pairs = pairs_worth_testing(source.text(), capsules, home_position, impossible)
     except (ValueError, RuntimeError) as error:
         raise ConfigurationError(f"{path.name} is not an arm that Pinocchio can model: {error}") from error
+    notes = () if builtin else (*source.notes, *notes_on_kinematics(source.text(), source.tip))
+    tell(path, notes)
     return ArmDescription(
         name=source.name,
         urdf=source.text(),
@@ -229,6 +235,7 @@ def _read_arm(
         capsules=capsules,
         meshes=tuple(shape for shape in shapes if len(shape.triangles)),
         collision_pairs=pairs,
+        notes=notes,
     )
 
 

@@ -39,6 +39,8 @@ MIN_MASS = 1e-9
 """kg: least mass of a link that has one."""
 MIN_INERTIA = 1e-14
 """kg m^2: least principal moment; MuJoCo's own limit is near."""
+MENDED, ROUND_OFF = 0.01, 1e-12
+"""Shares of a principal moment that the two others may miss together: of a file's digits, and of those of a float."""
 
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -62,6 +64,8 @@ class Urdf:
 
     def __init__(self, path: Path, tip: str | None, package: Path) -> None:
         self.path, self._meshes = path, Meshes(path, package)
+        self.notes: list[str] = []
+        """Repairs, omissions and assumptions, a sentence each."""
         self._robot = read_xml(path)
         if not self._robot.get("name"):
             raise self._error("its <robot> has no name")
@@ -110,7 +114,7 @@ class Urdf:
         copy = ElementTree.Element("inertial")
         self._copy_numbers(inertial, copy, f"the inertia of link {link!r}", "origin", xyz="0 0 0", rpy="0 0 0")
         ElementTree.SubElement(copy, "mass", {"value": repr(self._mass[link])})
-        moments = self._moments(link, inertial)
+        moments = self._possible_moments(link, inertial)
         ElementTree.SubElement(copy, "inertia", {name: repr(value) for name, value in moments.items()})
         return copy
 
@@ -212,6 +216,14 @@ class Urdf:
             raise self._error(f"link {link!r} has a mass, but no {' and no '.join(missing)} in its <inertia>")
         return {name: self._number(moments[name], f"inertia of link {link!r}") for name in _INERTIA}
 
+    def _possible_moments(self, link: str, inertial: Element) -> dict[str, float]:
+        """Return moments of which two are together as large as the third, which MuJoCo requires to the last digit."""
+        moments = self._moments(link, inertial)
+        small, medium, large = _principal(moments)
+        if (missing := float(large * (1 + ROUND_OFF) - small - medium)) > 0:
+            moments |= {name: moments[name] + missing for name in ("ixx", "iyy", "izz")}
+        return moments
+
     def _check_inertia(self) -> None:
         for joint in self._chain:
             name = joint.get("name")
@@ -227,12 +239,16 @@ class Urdf:
             inertial = link.find("inertial")
             if not self._mass[name] or inertial is None:
                 continue
-            xx, xy, xz, yy, yz, zz = self._moments(name, inertial).values()
-            small, medium, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            if small < MIN_INERTIA or small + medium < large * (1 - 1e-6):
+            small, medium, large = _principal(self._moments(name, inertial))
+            if small < MIN_INERTIA or small + medium < large * (1 - MENDED):
                 raise self._error(
                     f"link {name!r} has an impossible inertia: its principal moments are "
                     f"{small:.3g}, {medium:.3g}, {large:.3g}"
+                )
+            if small + medium < large * (1 - ROUND_OFF):
+                self.notes.append(
+                    f"Link {name!r} has principal moments {small:.7g}, {medium:.7g}, {large:.7g} kg m^2, which no body "
+                    "has: they were raised, so that two of them are together as large as the third."
                 )
 
     def _shape(self, link: str, collision: Element) -> Shape:
@@ -287,6 +303,12 @@ class Urdf:
         if not (numbers >= MIN_SIZE).all():
             raise self._error(f"{description} has a size of {numbers.min():g}")
         return numbers
+
+
+def _principal(moments: dict[str, float]) -> Array:
+    """Return the principal moments (3,) kg m^2, the smallest first."""
+    xx, xy, xz, yy, yz, zz = (moments[name] for name in _INERTIA)
+    return np.asarray(np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
 def _end(joint: Element, tag: str) -> str:

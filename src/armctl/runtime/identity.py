@@ -67,6 +67,7 @@ def identity(
         "objects": {name: fingerprint(requested) for name, requested in definitions.items() if requested is not None},
         "makers": fingerprint([*_makers(env, worlds)]),
         "constants": fingerprint(constants(worlds)),
+        "notes": list(worlds.task.notes),
         LOADED: _loaded(),
         **checksums(env, worlds, env_options, definitions.values()),
         "versions": versions(),

@@ -213,7 +213,7 @@ class _Line:
             control_period=env.task.control_period,
             versions=versions(),
             machine=machine(),
-            notes=[*notes, *events.remarks],
+            notes=[*dict.fromkeys([*notes, *env.remarks, *events.remarks])],
             failures=events.failures,
             baseline=plan.baseline,
             margin=plan.margin,

@@ -160,6 +160,11 @@ class TaskFacts(ABC):
         return None
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes that belong into every result: what the reader of the robot's file assumed, for instance."""
+        return tuple(getattr(self.robot, "notes", ()))
+
+    @property
     def physical(self) -> bool:
         """True if masses, friction and pushes change anything."""
         return True
