@@ -32,7 +32,7 @@ from armctl.rl.run.meter import CLOCK_FORMAT, COUNTS, Meter, Metered
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.threads import bounded_threads
 from armctl.rollout import evaluate
-from armctl.rollout.rollouts import rollouts
+from armctl.rollout.loop import rollouts
 from armctl.runtime.identity import checksums
 from armctl.runtime.provenance import versions
 from armctl.shaping import Shaped

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from armctl.core.errors import ConfigurationError, EnvironmentFailed
 from armctl.envs import foreign_values, make_worlds
-from armctl.rollout.rollouts import evaluate
+from armctl.rollout.loop import evaluate
 from armctl.study import compare
 
 from ..command_line import program

@@ -12,9 +12,8 @@ import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.envs import INTERFACES, PolicyStreams, make_worlds
 from armctl.policies import make_policy
-from armctl.study import sweep
+from armctl.study import suite, sweep
 from armctl.study.results import read_comparison
-from armctl.study.suite import suite
 
 REACH, SHORT = "ArmReach-v0", {"max_episode_steps": 3}
 SEED, EPISODE = 12_345_678, 987_654

@@ -12,7 +12,7 @@ from armctl.episodes.metrics import path_length, range_use, smoothness
 from armctl.episodes.record import TIME_COLUMNS
 from armctl.policies import make_policy
 from armctl.rollout import evaluate
-from armctl.rollout.rollouts import rollouts
+from armctl.rollout.loop import rollouts
 
 
 def minimum_jerk(samples, amplitude=1.0):

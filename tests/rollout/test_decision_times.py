@@ -12,7 +12,7 @@ from armctl.envs import make_worlds
 from armctl.episodes.table import EpisodeTable
 from armctl.report import write_report
 from armctl.rollout.decision_times import Machines, TimedPolicy, comparable_times, timing_notes
-from armctl.rollout.rollouts import rollouts
+from armctl.rollout.loop import rollouts
 from armctl.runtime.provenance import Run
 from armctl.study import compare
 from armctl.study.results import read_comparison

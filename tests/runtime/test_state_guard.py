@@ -17,7 +17,7 @@ from armctl.episodes.failures import PolicyDisqualified
 from armctl.policies import WorldsByInterface, make_policy
 from armctl.policies.find import declared_sees
 from armctl.report import write_report
-from armctl.rollout.rollouts import build_policy, rollouts
+from armctl.rollout.loop import build_policy, rollouts
 from armctl.runtime.state_guard import StateGuard
 from armctl.study.results import read_comparison
 

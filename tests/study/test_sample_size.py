@@ -16,9 +16,9 @@ def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
     assert pair["episodes_to_detect"] > 2000
     general = plan_comparison(0.05, power=0.9)
     (table,) = general.tables
-    needed = [record["episodes_to_detect"] for record in table.records]
+    needed = [record["episodes_to_detect"] for record in table.records if record["discordant"] >= 0.05]
     assert needed == sorted(needed)
-    assert [row[1].text for row in table.rows] == [f"{number:,}" for number in needed]
+    assert [row[1].text for row in table.rows] == ["-", "-", *(f"{number:,}" for number in needed)]
     assert (table.key, general.head) == ("plan", {"difference": 0.05, "power": 0.9})
     with_pilot, without = (
         [part.text for part in one.parts if isinstance(part, Remark)]
@@ -26,6 +26,13 @@ def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
     )
     assert with_pilot == ["Play them with another seed, or with the pilot's, which resumes it."]
     assert without[0].startswith("Two policies of 95 and 97 %")
+    assert without[1] == "Policies that differ by 5 points differ in at least 5 % of their episodes."
+
+
+def test_a_share_of_episodes_below_the_difference_is_no_row_of_its_own_to_detect():
+    for difference in (0.01, 0.02, 0.1, 0.3):
+        for record in plan_comparison(difference).tables[0].records:
+            assert (record["episodes_to_detect"] is None) == (record["discordant"] < difference)
 
 
 def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
@@ -45,7 +52,8 @@ def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
     )
     one, six = (plan_comparison(0.1, pairs=pairs).tables[0].records for pairs in (None, 6))
     for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
-        assert all(more[name] > few[name] for few, more in zip(one, six, strict=True))
+        counts = [(few[name], more[name]) for few, more in zip(one, six, strict=True) if few[name]]
+        assert all(more > few for few, more in counts)
     with pytest.raises(ConfigurationError, match="at least one pair"):
         plan_comparison(0.1, pairs=0)
 

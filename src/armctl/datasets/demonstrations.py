@@ -13,7 +13,7 @@ from armctl.envs.observations import stacked
 from armctl.episodes.failures import unless_failed
 from armctl.episodes.record import EpisodeResult
 from armctl.policies import Policy
-from armctl.rollout.rollouts import rollouts
+from armctl.rollout.loop import rollouts
 from armctl.tasks import Observations
 
 

@@ -3,23 +3,28 @@
 `gym.make_vec` steps n worlds of a task at once, and `gym.make` is its n = 1 view.
 """
 
-from armctl.envs.episodes import ERROR, EpisodeVectorEnv
-from armctl.envs.interface import (
-    INTERFACES,
-    SEES,
-    Interface,
-    MapInterface,
-    ModelInterface,
-    Sees,
-    how_to_declare,
-    interface_of,
-)
-from armctl.envs.make import RETURN_BOUNDS, check_from_file, find_spec, full_id, make_worlds, task_of
-from armctl.envs.observations import batch_of_one, one_of
-from armctl.envs.policy_seed import PolicyStreams, chosen_policy_seed, new_policy_seed
-from armctl.envs.single import TaskEnv
-from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
-from armctl.envs.vector import Observer, TaskVectorEnv
+from typing import TYPE_CHECKING
+
+from armctl.core.lazy import on_first_use
+
+if TYPE_CHECKING:
+    from armctl.envs.episodes import ERROR, EpisodeVectorEnv
+    from armctl.envs.interface import (
+        INTERFACES,
+        SEES,
+        Interface,
+        MapInterface,
+        ModelInterface,
+        Sees,
+        how_to_declare,
+        interface_of,
+    )
+    from armctl.envs.make import RETURN_BOUNDS, check_from_file, find_spec, full_id, make_worlds, task_of
+    from armctl.envs.observations import batch_of_one, one_of
+    from armctl.envs.policy_seed import PolicyStreams, chosen_policy_seed, new_policy_seed
+    from armctl.envs.single import TaskEnv
+    from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
+    from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
     "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface",
@@ -27,3 +32,5 @@ __all__ = [
     "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "how_to_declare", "interface_of",
     "make_worlds", "new_policy_seed", "one_of", "task_of",
 ]  # fmt: skip
+
+__getattr__, __dir__ = on_first_use(__name__)

@@ -20,7 +20,7 @@ RUNNING = -1
 """`outcome_id` while an episode runs: the last of `outcomes`."""
 ERROR = "error"
 """The outcome of an episode in which the policy failed: it raised an error, or returned an invalid action. It is a loss
-(see `armctl.rollout.rollouts`)."""
+(see `armctl.rollout.loop`)."""
 LARGEST_SEED = 2**62
 LARGEST_REWARD = 1e90
 """Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""

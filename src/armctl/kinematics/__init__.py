@@ -1,20 +1,25 @@
 """Kinematics of an arm: forward and inverse kinematics, Jacobians, limits, collisions, minimum-time reaching."""
 
-from armctl.kernels.reach import Spheres
-from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
-from armctl.kinematics.ik import Ik, IkOptions, IkResult
-from armctl.kinematics.imagined import ImaginedArms
-from armctl.kinematics.minimum_time_reach import (
-    THOROUGH,
-    MinimumTimeReach,
-    MinimumTimeReachOptions,
-    ReachGoal,
-    approach,
-)
-from armctl.kinematics.model import ArmModel
-from armctl.kinematics.reach_times import ReachTimes, ReachTimesOptions
-from armctl.kinematics.reachability_map import ReachabilityMap
-from armctl.kinematics.workspace import Workspace
+from typing import TYPE_CHECKING
+
+from armctl.core.lazy import on_first_use
+
+if TYPE_CHECKING:
+    from armctl.kernels.reach import Spheres
+    from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
+    from armctl.kinematics.ik import Ik, IkOptions, IkResult
+    from armctl.kinematics.imagined import ImaginedArms
+    from armctl.kinematics.minimum_time_reach import (
+        THOROUGH,
+        MinimumTimeReach,
+        MinimumTimeReachOptions,
+        ReachGoal,
+        approach,
+    )
+    from armctl.kinematics.model import ArmModel
+    from armctl.kinematics.reach_times import ReachTimes, ReachTimesOptions
+    from armctl.kinematics.reachability_map import ReachabilityMap
+    from armctl.kinematics.workspace import Workspace
 
 __all__ = [
     "THOROUGH",
@@ -35,3 +40,5 @@ __all__ = [
     "Workspace",
     "approach",
 ]
+
+__getattr__, __dir__ = on_first_use(__name__)

@@ -14,9 +14,9 @@ from typing import Annotated, Protocol
 
 import numpy as np
 import pinocchio
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, UnreachableTarget
@@ -94,7 +94,7 @@ class Ik:
         """The closed form for positions as well, if it is of use for them."""
         rng = np.random.default_rng(self.options.rng_seed)
         self._random_starts = model.random_configurations(rng, self.options.starts)
-        self._orientations = Rotation.random(self.options.starts, rng=rng).as_matrix()
+        self._orientations = scipy.spatial.transform.Rotation.random(self.options.starts, rng=rng).as_matrix()
         self._full_turn = model.limits.upper - model.limits.lower >= 2 * np.pi - 1e-6
         if self._six_joints is not None and not self._reaches_own_positions():
             self._six_joints = None

@@ -3,8 +3,8 @@
 import itertools
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from armctl.core.arrays import Array
 from armctl.kernels.reach import TIP_SPEED
@@ -43,7 +43,7 @@ class ReachabilityMap:
         self.configurations: Array = np.array(list(itertools.islice(itertools.chain.from_iterable(kept), count)))
         """(count, dof) rad"""
         self._shapes, self._ik = ArmShapes(model), Ik(model)
-        self._by_position = KDTree(model.positions(self.configurations))
+        self._by_position = scipy.spatial.KDTree(model.positions(self.configurations))
 
     def nearest(self, positions: Array, count: int) -> tuple[Array, NDArray[np.intp]]:
         """Return distances (..., count) m and indices of the configurations nearest to `positions`."""

@@ -1,24 +1,29 @@
 """Policies, which map observations to actions, classical or learned; and how they are found."""
 
-from armctl.policies.configured import (
-    SUFFIX,
-    PolicyConfiguration,
-    configurations,
-    configured,
-    read_configuration,
-)
-from armctl.policies.find import (
-    declared_sees,
-    describe_policy,
-    make_policy,
-    named_policies,
-    policy_name,
-    policy_names,
-)
-from armctl.policies.policy import Actions, Controller, ControllersFailed, PerWorld, Plans, Policy, PolicyFactory
-from armctl.policies.privilege import privileges, sees
-from armctl.policies.trainings import GROUP, agent_cards, expanded, is_seed_group, learners, training_card
-from armctl.policies.worlds import WorldsByInterface
+from typing import TYPE_CHECKING
+
+from armctl.core.lazy import on_first_use
+
+if TYPE_CHECKING:
+    from armctl.policies.configuration import (
+        SUFFIX,
+        PolicyConfiguration,
+        configurations,
+        configured,
+        read_configuration,
+    )
+    from armctl.policies.find import (
+        declared_sees,
+        describe_policy,
+        make_policy,
+        named_policies,
+        policy_name,
+        policy_names,
+    )
+    from armctl.policies.policy import Actions, Controller, ControllersFailed, PerWorld, Plans, Policy, PolicyFactory
+    from armctl.policies.privilege import privileges, sees
+    from armctl.policies.trainings import GROUP, agent_cards, expanded, is_seed_group, learners, training_card
+    from armctl.policies.worlds import WorldsByInterface
 
 __all__ = [
     "GROUP", "SUFFIX", "Actions", "Controller", "ControllersFailed", "PerWorld", "Plans", "Policy",
@@ -26,3 +31,5 @@ __all__ = [
     "declared_sees", "describe_policy", "expanded", "is_seed_group", "learners", "make_policy", "named_policies",
     "policy_name", "policy_names", "privileges", "read_configuration", "sees", "training_card",
 ]  # fmt: skip
+
+__getattr__, __dir__ = on_first_use(__name__)

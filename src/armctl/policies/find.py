@@ -16,7 +16,7 @@ from armctl.agents.costs import UNTRAINED
 from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
 from armctl.core.registration import import_attribute, installed
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, TaskEnv, chosen_policy_seed
-from armctl.policies.configured import configured, tuning_of
+from armctl.policies.configuration import configured, tuning_of
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import declared
@@ -84,7 +84,7 @@ def make_policy(
 
     - the name of an installed policy;
     - the path of a learned agent's `.json` card or `.onnx` graph;
-    - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configured`);
+    - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configuration`);
     - `NAME[SEED]`, one training of a recipe (see `armctl.policies.trainings`);
     - a function of one world's observation that returns an action;
     - a class with `act(observation)`, and `reset()` if it has memory. Each world gets an instance, made without

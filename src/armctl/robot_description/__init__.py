@@ -1,6 +1,13 @@
 """Descriptions of arms, independent of simulator and controllers: URDF, limits, capsules, collision pairs."""
 
-from armctl.robot_description.arm import BUILTIN_ARMS, ArmDescription, JointLimits, load_arm
-from armctl.robot_description.capsules import Capsule
+from typing import TYPE_CHECKING
+
+from armctl.core.lazy import on_first_use
+
+if TYPE_CHECKING:
+    from armctl.robot_description.arm import BUILTIN_ARMS, ArmDescription, JointLimits, load_arm
+    from armctl.robot_description.capsules import Capsule
 
 __all__ = ["BUILTIN_ARMS", "ArmDescription", "Capsule", "JointLimits", "load_arm"]
+
+__getattr__, __dir__ = on_first_use(__name__)

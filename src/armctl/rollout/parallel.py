@@ -20,8 +20,8 @@ from armctl.episodes.record import EpisodeResult
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, configured
 from armctl.policies.trainings import training_card
 from armctl.rollout.decision_times import TimedPolicy
+from armctl.rollout.loop import build_timed, rollouts
 from armctl.rollout.real_time import RealTime, RealTimePolicy
-from armctl.rollout.rollouts import build_timed, rollouts
 from armctl.runtime.engines import Cluster, Engine
 from armctl.runtime.identity import LOADED, identity
 from armctl.runtime.sending import relative

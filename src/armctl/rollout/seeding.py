@@ -13,7 +13,7 @@ import numpy as np
 from armctl.core.errors import EnvironmentFailed
 from armctl.core.registration import bare_id
 from armctl.envs import make_worlds, one_of
-from armctl.rollout.rollouts import wrap_environment_errors
+from armctl.rollout.loop import wrap_environment_errors
 
 STEPS = 25
 """Number of steps of each trial. Most ways to ignore a seed show at the reset, the others soon after it."""

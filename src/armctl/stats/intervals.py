@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from armctl.core.arrays import Array
 
@@ -57,7 +57,7 @@ def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
     """Return the success rate with the exact interval of Clopper and Pearson (1934); None without episodes."""
     if not len(successes):
         return None
-    interval = stats.binomtest(int(successes.sum()), len(successes)).proportion_ci(method="exact")
+    interval = scipy.stats.binomtest(int(successes.sum()), len(successes)).proportion_ci(method="exact")
     return Estimate(float(successes.mean()), float(interval.low), float(interval.high))
 
 
@@ -211,7 +211,7 @@ def median(values: Array) -> Estimate | None:
     value = float(np.median(values))
     if len(values) < FEWEST:
         return Estimate(value, None, None)
-    interval: Any = stats.quantile_test(values, p=0.5).confidence_interval(0.95)
+    interval: Any = scipy.stats.quantile_test(values, p=0.5).confidence_interval(0.95)
     return Estimate(value, float(interval.low), float(interval.high))
 
 
@@ -233,12 +233,12 @@ def superiority(a: Array, b: Array) -> Superiority:
     """Return the superiority of a (k,) over b (m,) of *other* episodes: Mann and Whitney (1947), bootstrap interval."""
 
     def statistic(a: Array, b: Array, axis: int = -1) -> Any:
-        wins: Any = stats.mannwhitneyu(a, b, axis=axis, method="asymptotic").statistic
+        wins: Any = scipy.stats.mannwhitneyu(a, b, axis=axis, method="asymptotic").statistic
         return wins / (a.shape[axis] * b.shape[axis])
 
     probability = bootstrapped(float(statistic(a, b)), [a, b], statistic)
     equal = np.ptp(np.concatenate((a, b))) == 0
-    return Superiority(probability, 1.0 if equal else float(stats.mannwhitneyu(a, b).pvalue))
+    return Superiority(probability, 1.0 if equal else float(scipy.stats.mannwhitneyu(a, b).pvalue))
 
 
 def paired_superiority(a: Array, b: Array) -> Superiority:
@@ -248,7 +248,7 @@ def paired_superiority(a: Array, b: Array) -> Superiority:
     """
     wins = (sign_of_difference(a, b) + 1) / 2
     decided = int((wins != 0.5).sum())
-    p = float(stats.binomtest(int((wins == 1).sum()), decided).pvalue) if decided else 1.0
+    p = float(scipy.stats.binomtest(int((wins == 1).sum()), decided).pvalue) if decided else 1.0
     probability = bounded_mean(wins, (0.0, 1.0))
     assert probability is not None
     return Superiority(probability, p)
@@ -259,7 +259,7 @@ def bootstrapped(value: float, samples: Sequence[Array], statistic: Any) -> Esti
     if sum(map(len, samples)) < FEWEST or min(map(len, samples)) < 2:
         return Estimate(value, None, None)
     rows = max(1, 2_000_000 // sum(map(len, samples)))
-    interval = stats.bootstrap(
+    interval = scipy.stats.bootstrap(
         samples, statistic, n_resamples=RESAMPLES, batch=rows, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
     low, high = float(interval.low), float(interval.high)

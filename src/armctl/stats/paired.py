@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from armctl.core.arrays import Array
 from armctl.stats.intervals import (
@@ -186,7 +186,7 @@ def _adjusted(pairs: Sequence[PairedDifference]) -> list[AdjustedP]:
 
 def mcnemar(only_a: int, only_b: int) -> float:
     """Return McNemar's exact two-sided p-value (1947) for equal success, from the episodes that only a or b won."""
-    return float(stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+    return float(scipy.stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
 
 
 @lru_cache(maxsize=10_000)
@@ -211,8 +211,8 @@ def mover(only_a: float, only_b: float, episodes: int, confidence: float = 0.95)
 def _share(count: float, episodes: int, confidence: float) -> Bounds:
     """Return Clopper and Pearson's interval."""
     tail, rest = (1 - confidence) / 2, episodes - count
-    low = float(stats.beta.ppf(tail, count, rest + 1)) if count > 0 else 0.0
-    return low, float(stats.beta.ppf(1 - tail, count + 1, rest)) if rest > 0 else 1.0
+    low = float(scipy.stats.beta.ppf(tail, count, rest + 1)) if count > 0 else 0.0
+    return low, float(scipy.stats.beta.ppf(1 - tail, count + 1, rest)) if rest > 0 else 1.0
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from armctl.core.arrays import Array
 from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT
@@ -44,9 +44,9 @@ def episodes_to_show_equivalence(margin: float, discordant: float, power: float 
 def detection_power(episodes: int, difference: float, discordant: float, tests: int = 1) -> float:
     """Return the probability that McNemar's exact test at 5 % / `tests` shows the better policy to be better."""
     counts = _likely(episodes, discordant)
-    min_wins = stats.binom.isf(SIGNIFICANT / tests / 2, counts, 0.5) + 1
-    power = stats.binom.sf(min_wins - 1, counts, min(1.0, (discordant + difference) / (2 * discordant)))
-    return float(stats.binom.pmf(counts, episodes, discordant) @ power)
+    max_losses = _quantile(SIGNIFICANT / tests / 2, counts, 0.5)  # which are as likely as so many wins
+    p_win = min(1.0, (discordant + difference) / (2 * discordant))
+    return float(_probability(counts, episodes, discordant) @ _cdf(max_losses, counts, 1 - p_win))
 
 
 def equivalence_power(episodes: int, margin: float, discordant: float, num_comparisons: int = 1) -> float:
@@ -54,8 +54,8 @@ def equivalence_power(episodes: int, margin: float, discordant: float, num_compa
     share, level = discordant / 2, EQUIVALENCE / num_comparisons
     counts = _likely(episodes, share)
     rates, rest = counts / episodes, episodes - counts
-    beneath = rates - np.where(counts > 0, stats.beta.ppf(level, np.maximum(counts, 1), rest + 1), 0.0)
-    above = np.where(rest > 0, stats.beta.isf(level, counts + 1, np.maximum(rest, 1)), 1.0) - rates
+    beneath = rates - np.where(counts > 0, scipy.special.betaincinv(np.maximum(counts, 1), rest + 1, level), 0.0)
+    above = np.where(rest > 0, scipy.special.betainccinv(counts + 1, np.maximum(rest, 1), level), 1.0) - rates
     odds = np.sqrt(rates / np.maximum(1 - rates, 1e-300))
 
     def within(a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -69,8 +69,8 @@ def equivalence_power(episodes: int, margin: float, discordant: float, num_compa
     equivalent = first <= last
     a, low, high = counts[equivalent], counts[first[equivalent]], counts[last[equivalent]]
     given_a = share / (1 - share)
-    inside = stats.binom.cdf(high, episodes - a, given_a) - stats.binom.cdf(low - 1, episodes - a, given_a)
-    return float(stats.binom.pmf(a, episodes, share) @ inside)
+    inside = _cdf(high, episodes - a, given_a) - _cdf(low - 1, episodes - a, given_a)
+    return float(_probability(a, episodes, share) @ inside)
 
 
 def _first(holds: Callable[[NDArray[np.intp], NDArray[np.intp]], NDArray[np.bool_]], n: int) -> NDArray[np.intp]:
@@ -87,8 +87,28 @@ def _first(holds: Callable[[NDArray[np.intp], NDArray[np.intp]], NDArray[np.bool
 
 def _likely(episodes: int, share: float) -> Array:
     """Return the counts of successes whose probability is not negligible."""
-    low, high = stats.binom.ppf(NEGLIGIBLE, episodes, share), stats.binom.isf(NEGLIGIBLE, episodes, share)
-    return np.arange(max(low, 0.0), high + 1)
+    low, rest = (float(_quantile(NEGLIGIBLE, np.asarray(float(episodes)), p)) + 1 for p in (share, 1 - share))
+    return np.arange(low, episodes - rest + 1)
+
+
+def _probability(successes: Array, trials: Array | int, p: float) -> Array:
+    """Return the binomial probability of so many successes. `scipy.stats` has it too, but takes a second to import."""
+    log_choose = -np.log1p(trials) - scipy.special.betaln(trials - successes + 1, successes + 1)
+    logs = scipy.special.xlogy(successes, p) + scipy.special.xlog1py(trials - successes, -p)
+    return np.asarray(np.exp(log_choose + logs))
+
+
+def _cdf(successes: Array, trials: Array | int, p: float) -> Array:
+    """Return the binomial probability of at most so many successes, from -1 to `trials`."""
+    below = scipy.special.betainc(np.maximum(trials - successes, 1), np.maximum(successes, 0) + 1, 1 - p)
+    return np.select([successes < 0, successes >= trials], [0.0, 1.0], below)
+
+
+def _quantile(tail: float, trials: Array, p: float) -> Array:
+    """Return the most successes that all together have at most the probability `tail`; -1 if there are none."""
+    near = np.floor(np.nan_to_num(scipy.special.bdtrik(tail, trials, p), nan=-1.0))
+    near = near - (_cdf(near, trials, p) > tail)
+    return np.asarray(near + (_cdf(near + 1, trials, p) <= tail))
 
 
 def _min_episodes(power_at: Callable[[int], float], power: float, period: float) -> int:

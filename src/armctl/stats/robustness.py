@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+import scipy
 
 from armctl.stats.intervals import paired_superiority, sign_of_difference
 from armctl.stats.paired import PairedDifference, mcnemar
@@ -64,7 +64,7 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
     levels = points[~points.neutral]
     significant = pd.Series(False, index=points.index)
     if len(levels):
-        significant[levels.index] = stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
+        significant[levels.index] = scipy.stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
     fell = pd.to_numeric(points["change"], errors="coerce") < 0
     points = points.assign(fell=fell, drops=significant & fell, below_half=points.success < 0.5)
     return [
@@ -185,7 +185,7 @@ def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, PairedDiff
         return []
     ranked = scored[~spares(scored)]
     tests = {pair: pairs[pair] for pair in _pairs_of(ranked) if pair in pairs}
-    adjusted: Any = stats.false_discovery_control([test.p for test in tests.values()]) if tests else []
+    adjusted: Any = scipy.stats.false_discovery_control([test.p for test in tests.values()]) if tests else []
     significant = {pair for pair, p in zip(tests, adjusted, strict=True) if p < FALSE_DISCOVERY_RATE}
     return [
         _ranking(str(name), rows, ranked[ranked.disturbance == name], (score, low, high), tests, significant)

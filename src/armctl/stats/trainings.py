@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from armctl.core.arrays import Array
 from armctl.stats.intervals import (
@@ -153,7 +153,7 @@ class _Student:
         """Return the mean with the 95 % interval, as far as it is possible."""
         if self.error == 0:
             return Estimate(self.value, None, None)
-        half = self.error * float(stats.t.ppf(0.975, self.freedom))
+        half = self.error * float(scipy.stats.t.ppf(0.975, self.freedom))
         return _within(self.value, (self.value - half, self.value + half), possible)
 
 
@@ -248,6 +248,6 @@ def interquartile_mean(scores: Sequence[Array]) -> Estimate | None:
         return None
 
     def statistic(*strata: Array, axis: int = -1) -> Any:
-        return stats.trim_mean(np.concatenate(strata, axis=axis), 0.25, axis=axis)
+        return scipy.stats.trim_mean(np.concatenate(strata, axis=axis), 0.25, axis=axis)
 
     return bootstrapped(float(statistic(*strata)), strata, statistic)

@@ -18,6 +18,7 @@ from armctl.episodes.store import CellWriter, Store
 from armctl.episodes.stored import POLICY_SEED
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy, WorldsByInterface
+from armctl.rollout.loop import build_timed, wrap_environment_errors
 from armctl.rollout.parallel import (
     RolloutBatch,
     Setting,
@@ -28,7 +29,6 @@ from armctl.rollout.parallel import (
     play_in_workers,
 )
 from armctl.rollout.real_time import check_real_time
-from armctl.rollout.rollouts import build_timed, wrap_environment_errors
 from armctl.rollout.seeding import seed_notes
 from armctl.runtime.identity import identity
 from armctl.runtime.provenance import RunMeter, machine, versions

@@ -14,6 +14,7 @@ from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import full_id, make_worlds
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import expanded, is_seed_group, learners, named_policies
+from armctl.rollout.loop import check_counts
 from armctl.rollout.real_time import (
     SLOW_DOWN_NAME,
     RealTime,
@@ -23,7 +24,6 @@ from armctl.rollout.real_time import (
     read_recording,
     real_time_of,
 )
-from armctl.rollout.rollouts import check_counts
 from armctl.runtime.engines import Engine, engine_of
 from armctl.stats.paired import MARGIN
 from armctl.study.levels import Disturbances, checked_levels, disturbance_specs, setting_name

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+import scipy
 
 from armctl.agents import AgentCard, Evaluation, read_card
 from armctl.core.errors import AgentFileError, ConfigurationError, unknown_name
@@ -16,7 +16,7 @@ from armctl.core.registration import installed, remember_named
 from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import check_from_file, full_id
 from armctl.policies import GROUP, agent_cards, training_card
-from armctl.rollout.rollouts import evaluate
+from armctl.rollout.loop import evaluate
 from armctl.stats.intervals import success_rate
 from armctl.stats.paired import holm
 
@@ -96,7 +96,7 @@ def _told_apart(claimed: Evaluation, measured: Evaluation) -> list[Difference]:
     """Fisher's exact test of successes, and Welch's of returns and steps if the card has their deviations."""
     num_episodes = np.array([evaluation.episodes for evaluation in (claimed, measured)])
     won = np.round(num_episodes * [evaluation.success_rate for evaluation in (claimed, measured)]).astype(int)
-    p_values = {"success_rate": float(stats.fisher_exact(np.column_stack((won, num_episodes - won))).pvalue)}
+    p_values = {"success_rate": float(scipy.stats.fisher_exact(np.column_stack((won, num_episodes - won))).pvalue)}
     for mean, std in (("mean_return", "std_return"), ("mean_steps", "std_steps")):
         numbers = [(getattr(of, mean), getattr(of, std), of.episodes) for of in (claimed, measured)]
         if all(None not in values and values[2] > 1 for values in numbers):
@@ -113,7 +113,7 @@ def _welch(a: tuple[float, float, int], b: tuple[float, float, int]) -> float:
     """Return the p-value of Welch's test between two means, each with its deviation and number of episodes."""
     if a[1] == b[1] == 0.0:
         return float(math.isclose(a[0], b[0], rel_tol=1e-9))
-    return float(stats.ttest_ind_from_stats(*a, *b, equal_var=False).pvalue)
+    return float(scipy.stats.ttest_ind_from_stats(*a, *b, equal_var=False).pvalue)
 
 
 def _text(value: Any) -> str:

@@ -6,12 +6,11 @@ from pathlib import Path
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.stats.paired import LEVELS
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
-from armctl.study.results import read_comparison
-from armctl.verdict.sentences import verdict_pairs
-from armctl.verdict.tables import AGAINST, Cell, Column, Document, Remark, Table
+from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Document, Remark, Table
 
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 """Shares of episodes that exactly one of two policies wins."""
+COUNTS = ("episodes_to_detect", "episodes_to_show_equivalence")
 TRAININGS = "For groups of trainings, more trainings tell more than more episodes"
 
 
@@ -49,18 +48,19 @@ def plan_comparison(
         raise ConfigurationError(f"a comparison has at least one pair, not {pairs}")
     plan = _Planned({Cell(f"{100 * share:g} %"): share for share in SHARES}) if pilot is None else _planned(pilot)
     tests, num_comparisons = LEVELS * pairs if pairs else plan.tests, pairs or plan.num_comparisons
+    min_share = difference if pilot is None else 0.0
     records = [
         {
             "pair": f"{name.text} {name.small}".strip(),
             "discordant": share,
-            "episodes_to_detect": episodes_to_detect(difference, share, power, tests),
-            "episodes_to_show_equivalence": episodes_to_show_equivalence(difference, share, power, num_comparisons),
+            COUNTS[0]: None if share < min_share else episodes_to_detect(difference, share, power, tests),
+            COUNTS[1]: episodes_to_show_equivalence(difference, share, power, num_comparisons),
         }
         for name, share in plan.shares.items()
     ]
     rows = [
         [name, *([] if pilot is None else [Cell(f"{100 * share:.1f} %")])]
-        + [Cell(f"{record[key]:,}") for key in ("episodes_to_detect", "episodes_to_show_equivalence")]
+        + [Cell(f"{n:,}" if n else UNKNOWN) for n in (record[key] for key in COUNTS)]
         for (name, share), record in zip(plan.shares.items(), records, strict=True)
     ]
     points = f"{100 * difference:g} points"
@@ -72,6 +72,11 @@ def plan_comparison(
         if pilot is None
         else "Play them with another seed, or with the pilot's, which resumes it."
     ]
+    if any(share < difference for share in plan.shares.values()):
+        remarks.append(
+            f"Policies that differ by {points} differ in at least {100 * difference:g} % of their episodes"
+            + ("." if pilot is None else ", which is what detecting it is planned for.")
+        )
     if plan.left_out:
         remarks.append(f"Left out: {', '.join(plan.left_out)}. {TRAININGS}.")
     table = Table("plan", title, columns, rows, records, _caption(tests, num_comparisons))
@@ -86,6 +91,9 @@ def _caption(tests: int, num_comparisons: int) -> str:
 
 
 def _planned(pilot: Path) -> _Planned:
+    from armctl.study.results import read_comparison  # with tables of episodes, which no other plan needs
+    from armctl.verdict.sentences import verdict_pairs
+
     pilot_results = read_comparison(pilot)
     pairs_by_success = [
         pair

@@ -1,40 +1,45 @@
 """Tasks: their reset distribution, observation, reward terms and outcomes."""
 
-from armctl.tasks.bridge import (
-    BridgeMovingOptions,
-    BridgeMovingTask,
-    BridgeOptions,
-    BridgeOutcome,
-    BridgeState,
-    BridgeTask,
-)
-from armctl.tasks.reach import (
-    OBSERVATION,
-    REWARD,
-    MovingReachState,
-    ObstaclesReachState,
-    ReachMovingOptions,
-    ReachMovingTask,
-    ReachObstaclesOptions,
-    ReachObstaclesTask,
-    ReachOptions,
-    ReachOutcome,
-    ReachState,
-    ReachTask,
-)
-from armctl.tasks.task import (
-    EachStep,
-    FeatureSpec,
-    GoalDistance,
-    LearnerView,
-    MotionSample,
-    Observations,
-    OneTimeTerm,
-    Outcome,
-    Potential,
-    RewardTerms,
-    Task,
-)
+from typing import TYPE_CHECKING
+
+from armctl.core.lazy import on_first_use
+
+if TYPE_CHECKING:
+    from armctl.tasks.bridge import (
+        BridgeMovingOptions,
+        BridgeMovingTask,
+        BridgeOptions,
+        BridgeOutcome,
+        BridgeState,
+        BridgeTask,
+    )
+    from armctl.tasks.reach import (
+        OBSERVATION,
+        REWARD,
+        MovingReachState,
+        ObstaclesReachState,
+        ReachMovingOptions,
+        ReachMovingTask,
+        ReachObstaclesOptions,
+        ReachObstaclesTask,
+        ReachOptions,
+        ReachOutcome,
+        ReachState,
+        ReachTask,
+    )
+    from armctl.tasks.task import (
+        EachStep,
+        FeatureSpec,
+        GoalDistance,
+        LearnerView,
+        MotionSample,
+        Observations,
+        OneTimeTerm,
+        Outcome,
+        Potential,
+        RewardTerms,
+        Task,
+    )
 
 __all__ = [
     "OBSERVATION",
@@ -67,3 +72,5 @@ __all__ = [
     "RewardTerms",
     "Task",
 ]  # fmt: skip
+
+__getattr__, __dir__ = on_first_use(__name__)

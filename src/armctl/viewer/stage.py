@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.envs import chosen_policy_seed
 from armctl.policies import Plans, Policy, WorldsByInterface, make_policy
-from armctl.rollout.rollouts import wrap_environment_errors, wrap_policy_errors
+from armctl.rollout.loop import wrap_environment_errors, wrap_policy_errors
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from armctl.rl.run import training as module
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.threads import MAX_THREADS
 from armctl.rl.run.training import Training, bar_fits
-from armctl.rollout.rollouts import rollouts
+from armctl.rollout.loop import rollouts
 from armctl.tasks import ReachTask
 from armctl.training.learners import load_recipe
 
