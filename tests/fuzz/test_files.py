@@ -87,7 +87,7 @@ def originals(tmp_path_factory):
     sweep(["random"], disturbances={"delay": [1]}, episodes=2, out=home / "swept", env_options=OPTIONS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("armctl.study.plan.FULL", SuiteSize(2, ("delay",), (0.25,)))
-        patch.setattr("armctl.study.plan.line_up", lambda env: ("reach_ik", "reach_ppo"))
+        patch.setattr("armctl.study.plan.line_up", lambda *_: ("reach_ik", "reach_ppo"))
         suite(["armctl/ArmReach-v0"], out=home / "suite")
     card = card_path("reach_ppo")
     for name in ("agent", "recipe", "curve"):

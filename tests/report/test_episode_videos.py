@@ -65,5 +65,5 @@ def test_without_opengl_the_report_says_so(folder, monkeypatch):
 
     monkeypatch.setattr(videos, "Camera", none)
     report = write_report(folder)
-    assert "There are no videos. pictures need OpenGL" in text_of(report)
+    assert "There are no videos: pictures need OpenGL" in text_of(report)
     assert "<video" not in report.read_text()

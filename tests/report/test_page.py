@@ -30,7 +30,7 @@ def test_verdict_and_how_to_do_it_again(folder):
     command = "armctl compare reach_ik reach_ppo random --env armctl/ArmReach-v0 --set max_episode_steps=15 --seed 0"
     assert f"{command} --episodes 12" in text
     assert json.loads((folder / "summary.json").read_text())["versions"]["mujoco"] in text
-    assert "There are no videos. They were left out" in text
+    assert "There are no videos: armctl report without --no-video" in text
 
 
 def test_the_headline_is_short_and_has_a_picture_beside_it(folder):

@@ -11,11 +11,11 @@ import pytest
 from armctl.episodes.stored import STORE
 from armctl.report import suite_figures, write_report
 from armctl.report.style import Style
-from armctl.report.suite_page import headline
 from armctl.stats.intervals import Estimate
 from armctl.study import suite
 from armctl.study.line_up import SuiteSize
 from armctl.study.results import UNFINISHED, read_study
+from armctl.study.task_verdict import suite_headline
 
 from ..forgery import change_record, forge
 from .pages import text_of
@@ -31,7 +31,7 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("suite")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FULL", SuiteSize(2, ("delay",), (0.25,)))
-        patch.setattr(module, "line_up", lambda env: ("reach_ik", "reach_ppo"))
+        patch.setattr(module, "line_up", lambda *_: ("reach_ik", "reach_ppo"))
         suite([REACH], out=folder)
     return folder
 
@@ -94,10 +94,8 @@ def test_a_task_that_knows_no_disturbance_is_reported_undisturbed(tmp_path):
 
 
 def test_the_headline_counts_tasks(finished):
-    assert headline([]) == "No task has both classical and learned results"
-    assert headline(read_study(finished).verdicts * 3) == (
-        "Of 3 tasks, by success, classical is better in 0, learned in 0, neither is shown to be in 3"
-    )
+    assert suite_headline([]) == "No task has both classical and learned results"
+    assert suite_headline(read_study(finished).verdicts).startswith("Success in 1 task: undecided in ")
 
 
 def test_figures_hold_their_numbers():

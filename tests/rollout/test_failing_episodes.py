@@ -269,5 +269,5 @@ def test_a_crash_does_not_pay_where_nobody_knows_the_possible_returns():
     assert pair.superiority.probability.value == pytest.approx((20 - errors) / 40)
     assert math.isnan(pair.return_difference.value)
     assert pair.return_p is None
-    assert "hasty earns" not in found.verdict
+    assert "hasty earns" not in str(found.verdict)
     assert "nan" not in text_of(found)

@@ -87,7 +87,9 @@ def test_the_best_mean_does_not_lead_while_another_is_not_shown_to_be_worse():
 def test_chance_makes_nobody_a_leader():
     (noise,) = ranked(points({"noise": {"a": (50, 48, 44), "b": (50, 47, 46)}}))
     assert (noise.first, noise.not_worse, noise.worse) == ("b", ["a"], {})
-    assert str(noise).startswith("Under noise, no significant difference between policies. At 2 (steps): b 92 %")
+    assert str(noise).startswith(
+        "Under noise, undecided: no significant difference between policies in 100 episodes. At 2"
+    )
 
 
 def test_whoever_recovers_was_worse_all_the_same_and_whoever_was_better_is_told():
@@ -137,7 +139,7 @@ def test_one_sentence_over_all_disturbances():
     }  # fmt: skip
     assert robustness_headline(ranked(points(wins))) == (
         "Under noise and delay, a leads; under pushes, b leads; "
-        "under payload, no significant difference between policies."
+        "under payload, undecided: no significant difference between policies in 100 episodes."
     )
 
 

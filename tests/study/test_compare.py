@@ -164,7 +164,7 @@ def test_tables_fit_a_narrow_terminal():
 @pytest.mark.slow
 def test_verdict_names_the_better():
     comparison = compare(["random", "reach_ik"], episodes=12)
-    sentence = verdict(comparison.policies, comparison.paired)
+    sentence = verdict(comparison.policies, comparison.paired).result
     assert sentence.startswith("reach_ik is better than random: success +100.0 points [")
 
 

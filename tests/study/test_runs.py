@@ -70,8 +70,8 @@ armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_o
     resumed = compare(**both, episodes=40)
     assert resumed.looks == read_comparison(tmp_path).looks == [10]
     words = "; after an earlier look at 10 episodes, p is too small and intervals are too narrow"
-    assert words in resumed.verdict
-    assert words in resumed.headline[0]
+    assert words in str(resumed.verdict)
+    assert words in resumed.verdict.result
     assert read_comparison(tmp_path).verdict == resumed.verdict
     assert [run.judged for run in read_cell(tmp_path).runs] == [10, None, 40]
 
@@ -83,7 +83,7 @@ def test_another_baseline_or_margin_is_told_forever(tmp_path):
     again = compare(**both, margin=0.1)
     assert told_before(again) == ["baseline random, margin 0.02; no baseline, margin 0.02"]
     assert again.looks == []
-    assert "earlier look" not in again.verdict
+    assert "earlier look" not in str(again.verdict)
 
 
 def told_before(comparison):

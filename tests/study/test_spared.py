@@ -8,9 +8,9 @@ import armctl
 from armctl.core.errors import ConfigurationError
 from armctl.study import compare
 from armctl.study.results import read_comparison
-from armctl.verdict.sentences import headline, verdict, verdict_pairs
+from armctl.verdict.sentences import verdict_pairs
 
-from ..verdict.made_up_verdicts import played
+from ..verdict.made_up_verdicts import played, text_of
 
 BRIDGE = "armctl/BridgeCross-v0"
 NOT_TESTED = "Not tested, because the disturbance does not affect them: reach_ik (noise)."
@@ -34,7 +34,9 @@ def test_who_reads_no_observation_is_spared_its_noise(noisy):
 def test_no_pair_with_a_spared_policy_is_tested_or_told(noisy):
     found, _ = noisy
     assert [{pair.a, pair.b} for pair in found.paired] == [{"bridge_state_ppo", "bridge_ppo"}]
-    assert found.verdict.endswith("because the disturbance does not affect them: bridge_mpc (noise), random (noise).")
+    assert found.verdict.context.endswith(
+        "because the disturbance does not affect them: bridge_mpc (noise), random (noise)."
+    )
     table = found.document().tables[0]
     assert [row[0].small.endswith("spared noise") for row in table.rows] == [True, False, False, True]
     assert "Spared: not affected" in table.caption
@@ -49,10 +51,10 @@ def test_a_spared_winner_does_not_win(baseline):
     pairs = [pair for pair in pairs if "reach_ik" not in (pair.a, pair.b)]
     told = verdict_pairs(policies, pairs, baseline)
     assert [(one.first.policy, one.second.policy) for one in told] == ([] if baseline else [("reach_ppo", "reach_mpc")])
-    said = verdict(policies, pairs, baseline)
+    said = text_of(policies, pairs, baseline)
     assert said.endswith(NOT_TESTED)
     assert "reach_ik" not in said.removesuffix(NOT_TESTED)
-    assert headline(policies, pairs, baseline)[0].startswith("Not tested" if baseline else "reach_ppo beats reach_mpc")
+    assert said.startswith("Not tested" if baseline else "reach_ppo is better than reach_mpc")
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 
 from armctl.episodes.stored import UNDISTURBED
-from armctl.report.suite_page import headline, write_suite_page
+from armctl.report.suite_page import write_suite_page
 from armctl.stats.across_tasks import Choice, TaskPair, pairwise_by_task
 from armctl.stats.intervals import Estimate, bounded_difference
 from armctl.stats.paired import holm, mcnemar
 from armctl.study import Study, sweep
-from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
+from armctl.study.task_verdict import TaskVerdict, holm_corrected, suite_headline, task_verdict
 
 from ..report.pages import text_of
 from ..verdict.made_up_verdicts import summary_of
@@ -25,6 +25,9 @@ SETTINGS = ("delay 1", "noise 0.1")
 def head(only_classical, only_learned, episodes=50, p=None):
     p = mcnemar(only_classical, only_learned) if p is None else p
     return TaskPair(episodes, only_classical, only_learned, p)
+
+
+TIME = "0.25 ms (99th percentile 0.5 ms)"
 
 
 def answer_of(undisturbed, *disturbed, env="armctl/Some-v0", timing=((1, 1), (1, 1))):
@@ -45,8 +48,8 @@ def test_few_episodes_give_no_verdict_anywhere(wins, losses):
     (one,) = holm_corrected([answer_of(eight, head(losses, wins, episodes=8))])
     assert one.verdict.startswith("No verdict from 8 episodes")
     assert one.reversals == ""
-    assert headline([one]) == (
-        "Of 1 task, by success, classical is better in 0, learned in 0, neither is shown to be in 1"
+    assert suite_headline([one]) == (
+        "Success in 1 task: undecided in Some-v0, where 8 episodes leave differences up to 100 points possible"
     )
 
 
@@ -65,9 +68,9 @@ def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_s
         "Undecided", "Learned is better", "Undecided", "Undecided",
     ]  # fmt: skip
     assert found[3].verdict.endswith("; classical takes 2.3 [0.3, 4.2] fewer steps, p = 0.048")
-    assert headline(found) == (
-        "Of 4 tasks, by success, classical is better in 0, learned in 1, neither is shown to be in 3; "
-        "there, classical takes fewer steps in 1, learned in 0"
+    assert suite_headline(found) == (
+        "Success in 4 tasks: learned is better in Task1-v0; undecided in Task0-v0, Task2-v0 and Task3-v0, where 50 "
+        "episodes leave differences up to 27 points possible; classical takes fewer steps in Task3-v0"
     )
     assert found[0].pairs[SETTINGS[0]] == answers[0].pairs[SETTINGS[0]]
 
@@ -99,7 +102,9 @@ def test_earlier_looks_are_a_part_of_verdict_and_headline():
     words = "after 2 earlier looks at 20 and 50 episodes, p is too small and intervals are too narrow"
     one = replace(answer_of(head(20, 0)), looks=[20, 50])
     assert one.verdict.endswith(f"p = 1.9e-06; {words}")
-    assert headline([one, replace(one, looks=[50])]).endswith(f"neither is shown to be in 0; {words}")
+    assert suite_headline([one, replace(one, looks=[50])]) == (
+        f"Success in 1 task: classical is better in Some-v0; {words}"
+    )
 
 
 def swept(gains):
@@ -174,12 +179,12 @@ def test_equal_effects_turn_in_five_of_a_hundred_tasks_at_most(edge, sized):
 @pytest.mark.parametrize(
     ("timing", "said"),
     [
-        (((1, 1), (1, 1)), "reach_ik 0.25 ms, reach_ppo 0.25 ms."),
-        (((4, 1), (4, 1)), "reach_ik 0.25 ms, reach_ppo 0.25 ms (shares of a batch of 4 worlds)."),
-        (((1, 1), (4, 1)), "reach_ik 0.25 ms (latency), reach_ppo 0.25 ms (shares of a batch of 4 worlds)."),
+        (((1, 1), (1, 1)), f"reach_ik {TIME}, reach_ppo {TIME}."),
+        (((4, 1), (4, 1)), f"reach_ik {TIME}, reach_ppo {TIME} (shares of a batch of 4 worlds)."),
+        (((1, 1), (4, 1)), f"reach_ik {TIME} (latency), reach_ppo {TIME} (shares of a batch of 4 worlds)."),
         (
             ((2, 1), (4, 1)),
-            "reach_ik 0.25 ms (shares of a batch of 2 worlds), reach_ppo 0.25 ms (shares of a batch of 4",
+            f"reach_ik {TIME} (shares of a batch of 2 worlds), reach_ppo {TIME} (shares of a batch of 4",
         ),
     ],
 )
@@ -198,7 +203,7 @@ def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
     assert list(found.pairs) == list(found.shared_cells) == [UNDISTURBED, "payload-5.0"]
     assert list(found.cells["noise-0.5"]) == ["bridge_state_ppo"]
     assert found.not_compared == "Not compared: noise 0.5 (spares bridge_mpc)."
-    assert found.not_compared in found.sentence
+    assert found.not_compared in found.context
     page = tmp_path / "page.html"
     write_suite_page(Study("suite", 0, 2, [env], False, {env: swept}, {}, False), tmp_path, page, {})
     assert "bridge_mpc 0 spared 0" in text_of(page)
@@ -220,7 +225,7 @@ def test_a_task_without_one_of_the_kinds_says_which(kind, missing):
     cells = {UNDISTURBED: pd.DataFrame({"reach_ik": np.ones(10)})}
     choice: dict[str, Any] = {kind: Choice("reach_ik")}
     one = TaskVerdict("armctl/Some-v0", played, cells, {}, **choice)
-    assert one.sentence == f"armctl/Some-v0: no {missing} policy has played."
+    assert (one.verdict, one.context) == (f"no {missing} policy has played", "")
     assert one.rate(Choice("reach_ik")).value == 1
     assert TaskVerdict("armctl/Some-v0", [], {}, {}).verdict == "no episode was finished undisturbed"
     assert TaskVerdict("armctl/Some-v0", played, {}, {}).verdict == "the environment does not say what a success is"

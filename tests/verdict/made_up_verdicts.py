@@ -28,8 +28,7 @@ def summary_of(name, won):
     known = {
         "policy": name, "sees": "observation" if name in TRAINED else "model", "training": cost_of(name),
         "planned": len(won), "episodes": len(won),
-        "spared": (), "outcomes": {}, "success": success_rate(won), "decision_ms_mean": 0.25,
-        "decision_ms_p50": 0.2, "decision_ms_p99": 0.5,
+        "spared": (), "outcomes": {}, "success": success_rate(won), "decision_ms_p50": 0.25, "decision_ms_p99": 0.5,
         "worlds": 1, "workers": 1,
     }  # fmt: skip
     return PolicySummary(**values | known)
@@ -37,7 +36,12 @@ def summary_of(name, won):
 
 def said(wins, episodes=400, **options):
     """The verdict on policies that won the episodes whose numbers are in `wins`."""
-    return verdict(*played(wins, episodes), **options)
+    return text_of(*played(wins, episodes), **options)
+
+
+def text_of(*args, **options):
+    """The whole verdict as a text."""
+    return str(verdict(*args, **options))
 
 
 LIMIT = 100

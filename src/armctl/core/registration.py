@@ -53,6 +53,11 @@ def bare_id(env: str) -> str:
     return env.rpartition(":")[2]
 
 
+def short_name(env: str) -> str:
+    """Return an environment's name without that of armctl's package, or of a module."""
+    return bare_id(env).removeprefix("armctl/")
+
+
 def environment_names() -> list[str]:
     """Return ids of all environments that were made of tasks."""
     return sorted(env_id for env_id, spec in gymnasium.registry.items() if spec.vector_entry_point == VECTOR_ENV)

@@ -7,6 +7,8 @@ INK, PALE, GRID, LINE, PAPER, ALARM = "#1f2933", "#6b7680", "#e4e8ec", "#aab3bb"
 """Text, small text, grid lines, axes, background, limits."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a")
 """Colours of policies, by Okabe and Ito (2008): safe for colour-blind readers."""
+FAMILY_COLOURS = (*COLOURS[:6], "#332288", "#882255", "#999933", "#44aa99", INK)
+"""Colours of families of methods: those of policies but for the grey one, and some of Tol (2021)."""
 TERM_COLOURS = ("#b9b4a7", "#44aa99", "#882255", "#ddcc77", "#332288", "#88ccee", "#999933", "#aa4499")
 """Colours of reward terms, by Tol (2021); different from those of policies."""
 

@@ -49,12 +49,12 @@ def training_cost(
                 marker={"symbol": "circle-open", "size": 20, "line": {"width": 2.5}, "color": colour},
             )  # fmt: skip
     low, high = (math.log10(end) for end in span)
-    x = {"type": "log", "range": [low, high], "tickformat": "~s", "dtick": 1 if high - low > 2 else "D2"}
+    x = {"type": "log", "range": [low, high], "tickformat": "~s", "dtick": 1 if high - low > 1 else "D2"}
     return framed(figure, "decisions in simulation, for training", "success", x=x, y=SHARE_AXIS | MARGIN)
 
 
 def trade_off(points: Sequence[Point], styles: Styles, by_success: bool = True) -> go.Figure:
-    """Success, or return, against decision time: a dot at the mean for each policy, a line to the 99th percentile.
+    """Success, or return, against decision time: a dot at the median for each policy, a line to the 99th percentile.
 
     Vertical: 95 % intervals. The stairs are the Pareto front: whatever lies on or above them, no policy here does.
     """
@@ -80,4 +80,6 @@ def trade_off(points: Sequence[Point], styles: Styles, by_success: bool = True) 
         add_point(figure, [point.decision_ms], [point.score.value], [low], [high], style, hover)
     y = SHARE_AXIS | MARGIN if by_success else {"nticks": 6}
     x = {"type": "log", "range": span, "dtick": 1, "tickformat": "~g"}
-    return framed(figure, "decision time, ms", "success" if by_success else "return", x=x, y=y, height=300)
+    return framed(
+        figure, "median decision with planning, ms", "success" if by_success else "return", x=x, y=y, height=300
+    )

@@ -24,6 +24,7 @@ from armctl.study.comparison import Comparison
 from armctl.study.plan import FROM_UNDISTURBED, SUITE, task_name
 from armctl.study.results import read_study
 from armctl.study.task_results import Sweep
+from armctl.verdict.sentences import Verdict
 from armctl.verdict.summary import PolicySummary
 
 REPORT = "report.html"
@@ -92,7 +93,7 @@ def _write_task_page(swept: Sweep, out: Path, name: str, video: bool | None, pro
     if len(points):
         page["command"] = f"{_command('sweep', comparison, page['extent'])}{_disturbances(swept)}"
     if video is False:
-        page["no_videos"] = "They were left out (--no-video)."
+        page["no_videos"] = "armctl report without --no-video films some episodes."
     elif comparison.facts.real_time:
         page["no_videos"] = "Episodes in real time cannot be played again for them."
     else:
@@ -106,11 +107,11 @@ def _comparison(comparison: Comparison, styles: style.Styles) -> dict[str, Any]:
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
     extent = f"--episodes {planned}{_parallel(policies)}{_real_time_options(comparison)}" if planned else ""
-    result, cost = comparison.headline
+    verdict = comparison.verdict or Verdict(_single(comparison))
     page: dict[str, Any] = {
-        "headline": renamed(result or _single(comparison), styles),
-        "cost": renamed(cost, styles),
-        "verdict": renamed(comparison.verdict, styles),
+        "headline": renamed(verdict.result, styles),
+        "cost": renamed(verdict.cost, styles),
+        "context": renamed(verdict.context, styles),
         "planned": planned,
         "extent": extent,
         "command": _command("compare", comparison, extent),

@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from armctl.report.colours import COLOURS, INK, PALE, PAPER
+from armctl.report.colours import COLOURS, FAMILY_COLOURS, PALE, PAPER
 from armctl.report.style import (
     SHARE_AXIS,
     Style,
@@ -95,5 +95,6 @@ def cost_plane(points: Sequence[CostPoint], x_title: str, unit: str, min_cost: f
 
 
 def family_styles(families: Sequence[str]) -> Styles:
-    """Return a style for each family; further ones are dark."""
-    return {name: Style(name, COLOURS[i] if i < len(COLOURS) else INK) for i, name in enumerate(families)}
+    """Return a style for each family; if there are too many, the last ones share the dark one."""
+    last = len(FAMILY_COLOURS) - 1
+    return {name: Style(name, FAMILY_COLOURS[min(i, last)]) for i, name in enumerate(families)}

@@ -14,7 +14,6 @@ from armctl.report.colours import INK
 from armctl.report.plots import Plot
 from armctl.report.render import write_page
 from armctl.report.suite_figures import CLASSICAL, LEARNED, SYMBOLS, CostPoint
-from armctl.runtime.provenance import looks_in_words
 from armctl.stats.across_tasks import (
     Choice,
     League,
@@ -27,7 +26,7 @@ from armctl.stats.intervals import Estimate
 from armctl.study.levels import setting_name
 from armctl.study.plan import task_name
 from armctl.study.study import Study
-from armctl.study.task_verdict import CHOSEN, TaskVerdict
+from armctl.study.task_verdict import CHOSEN, TaskVerdict, suite_headline
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import SPARED
 
@@ -44,7 +43,7 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
     names = list(dict.fromkeys(policy.family for verdict in verdicts for policy in verdict.policies))
     styles, heads = suite_figures.family_styles(names), _heads(suite)
     page: dict[str, Any] = {
-        "headline": headline(verdicts),
+        "headline": suite_headline(verdicts),
         "suite": suite,
         "chosen": CHOSEN,
         "folder": folder.resolve().name,
@@ -64,24 +63,6 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
         ),
     }
     write_page(out, "suite.html.j2", page)
-
-
-def headline(verdicts: Sequence[TaskVerdict]) -> str:
-    """Return a sentence: in how many tasks each kind is better in success, and in how many others in steps.
-
-    `verdicts` are corrected for all tasks, as `Study.verdicts` is.
-    """
-    heads = [head for verdict in verdicts if (head := verdict.undisturbed)]
-    if not heads:
-        return "No task has both classical and learned results"
-    classical, learned = (sum(head.better == sign for head in heads) for sign in (1, -1))
-    open_ = len(heads) - classical - learned
-    parts = [f"classical is better in {classical}", f"learned in {learned}", f"neither is shown to be in {open_}"]
-    faster = [sum(head.faster == sign for head in heads) for sign in (1, -1)]
-    sentences = [f"Of {len(heads)} task{'s' * (len(heads) > 1)}, by success, {', '.join(parts)}"]
-    sentences += [f"there, classical takes fewer steps in {faster[0]}, learned in {faster[1]}"] if any(faster) else []
-    looks = sorted({episodes for verdict in verdicts for episodes in verdict.looks})
-    return "; ".join([*sentences, looks_in_words(looks)] if looks else sentences)
 
 
 def _command(suite: Study) -> str:
@@ -203,22 +184,23 @@ def _costs(verdicts: Sequence[TaskVerdict], styles: style.Styles) -> list[Plot]:
             and (known_cost := cost(policy)) is not None
         ]  # fmt: skip
 
-    timed, trained = points(attrgetter("decision_ms_mean")), points(_decisions)
+    timed, trained = points(attrgetter("control_step_ms")), points(_decisions)
     if not timed:
         return []
     ms, min_decisions = suite_figures.MIN_MS, suite_figures.MIN_DECISIONS
-    unknown = {policy.policy for verdict in verdicts for policy in verdict.policies if _decisions(policy) is None}
-    left_out = f" Unknown: {', '.join(sorted(unknown))}." if unknown else ""
+    missing = {policy.policy for verdict in verdicts for policy in verdict.policies if _decisions(policy) is None}
+    left_out = f" Not shown, trained on data or by unknown decisions: {', '.join(sorted(missing))}." if missing else ""
     return [
-        Plot(suite_figures.cost_plane(timed, "mean decision, ms", "ms", ms), "Success against decision time",
-             "Decision time"),
+        Plot(suite_figures.cost_plane(timed, "median decision with planning, ms", "ms", ms),
+             "Success against decision time", "Decision time"),
         Plot(suite_figures.cost_plane(trained, "decisions in simulation, for training", "decisions", min_decisions),
              "Success against training", "Training", f"Without training: on the left.{left_out}"),
     ]  # fmt: skip
 
 
 def _decisions(policy: PolicySummary) -> int | None:
-    return policy.training.total.decisions if policy.learned else 0
+    """Return the decisions of a policy's training, 0 without any; None for agents that learned without simulation."""
+    return (policy.training.total.decisions or None) if policy.learned else 0
 
 
 def _symbols(verdicts: Sequence[TaskVerdict], symbols: Any) -> list[str]:

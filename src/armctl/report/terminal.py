@@ -47,13 +47,17 @@ class DocumentView:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         above: Table | Remark | None = None
         for part in self.document.parts:
-            if above and (isinstance(part, Table) or part.kind == "verdict"):
+            if above and (isinstance(part, Table) or (part.kind == "verdict" and _kind(above) != "verdict")):
                 yield Text()
             if isinstance(part, Table):
                 yield from _render_table(part, options.max_width)
             else:
                 yield Text(part.text, style=STYLES[part.kind])
             above = part
+
+
+def _kind(part: Table | Remark) -> str:
+    return "table" if isinstance(part, Table) else part.kind
 
 
 def _render_table(table: Table, width: int) -> Iterator[Text | RichTable]:

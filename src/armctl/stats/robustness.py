@@ -10,7 +10,7 @@ import pandas as pd
 import scipy
 
 from armctl.stats.intervals import paired_superiority, sign_of_difference
-from armctl.stats.paired import PairedDifference, mcnemar
+from armctl.stats.paired import MARGIN, PairedDifference, mcnemar
 from armctl.stats.trainings import mean_over_trainings
 
 FALSE_DISCOVERY_RATE = 0.05
@@ -52,6 +52,8 @@ class Degradation:
     It lasts until figures are as before."""
     below_half: Onset | None
     """The first level with a success rate below one half; None if there is none."""
+    largest_drop: tuple[float, float] | None
+    """The largest drop of the tested statistic, significant or not, and its level; None if it falls nowhere."""
 
 
 def degradations(points: pd.DataFrame) -> list[Degradation]:
@@ -65,8 +67,10 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
     significant = pd.Series(False, index=points.index)
     if len(levels):
         significant[levels.index] = scipy.stats.false_discovery_control(levels.p) < FALSE_DISCOVERY_RATE
-    fell = pd.to_numeric(points["change"], errors="coerce") < 0
-    points = points.assign(fell=fell, drops=significant & fell, below_half=points.success < 0.5)
+    change = pd.to_numeric(points["change"], errors="coerce")
+    points = points.assign(
+        change=change, fell=change < 0, drops=significant & (change < 0), below_half=points.success < 0.5
+    )
     return [
         Degradation(
             str(disturbance),
@@ -74,6 +78,10 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
             str(rows.sees.iloc[0]),
             next(iter(onsets(rows.level, rows.drops, rows.fell)), None),
             next(iter(onsets(rows.level, rows.below_half, rows.below_half)), None),
+            min(
+                ((float(x), float(level)) for x, level in zip(rows["change"], rows.level, strict=True) if x < 0),
+                default=None,
+            ),
         )
         for (disturbance, policy), rows in points.groupby(["disturbance", "policy"], sort=False)
     ]
@@ -139,6 +147,10 @@ class RobustnessRanking:
     """Success or return of each ranked policy there, with its 95 % interval."""
     score: str
     """Name of the score whose mean is highest for the first."""
+    episodes: int
+    """Number of episodes of the smallest test among these policies."""
+    equivalent: bool
+    """True if success of each two of them differs by less than `MARGIN` at all levels."""
 
     @property
     def leads(self) -> bool:
@@ -153,7 +165,9 @@ class RobustnessRanking:
         if self.leads:
             return f"{self.first} leads"
         if not self.worse and not self.better:
-            return "no significant difference between policies"
+            if self.equivalent:
+                return f"all policies are equivalent within {100 * MARGIN:g} points"
+            return f"undecided: no significant difference between policies in {self.episodes} episodes"
         beside = [f"not shown to be worse: {', '.join(self.not_worse)}"] if self.not_worse else []
         beside += [f"better {_where(self.better)}"] if self.better else []
         return f"highest mean {self.score}: {self.first} ({'; '.join(beside)})"
@@ -198,8 +212,8 @@ def robustness_headline(rankings: Sequence[RobustnessRanking]) -> str:
     under: dict[str, list[str]] = {}
     for ranking in rankings:
         under.setdefault(ranking.claim, []).append(ranking.disturbance)
-    claims = sorted(under.items(), key=lambda item: (item[0].startswith("no "), -len(item[1])))
-    sentence = "; ".join(f"under {_listed(names)}, {claim}" for claim, names in claims)
+    claims = sorted(under.items(), key=lambda item: (item[0].startswith(("no ", "undecided")), -len(item[1])))
+    sentence = "; ".join(f"under {listed(names)}, {claim}" for claim, names in claims)
     return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
 
 
@@ -255,6 +269,8 @@ def _ranking(
         if ahead := onsets(above, [above[x] > 0 and x in tested for x in above], [above[x] >= 0 for x in above]):
             better[name] = next((onset for onset in ahead if onset.lasts), ahead[0])
     unit = rows["unit"].iloc[0]
+    pairs = {_pair(disturbance, x, levels[0], *two) for x in levels for two in itertools.combinations(names, 2)}
+    own_tests = [test for pair, test in tests.items() if pair in pairs]
     return RobustnessRanking(
         disturbance,
         first,
@@ -266,6 +282,8 @@ def _ranking(
         f"{levels[-1]:g}{f' ({unit})' if isinstance(unit, str) else ''}",
         {str(row["policy"]): _score(row, columns) for row in ranked[ranked.level == levels[-1]].to_dict("records")},
         "success" if columns == SUCCESS else "share of higher returns",
+        min((test.episodes for test in own_tests), default=0),
+        all(test.equivalent(MARGIN, len(own_tests)) for test in own_tests),
     )
 
 
@@ -284,5 +302,6 @@ def _where(onset_of: Mapping[str, Onset], neutral: float | None = None) -> str:
     )
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return names with commas and a last "and"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -16,9 +16,9 @@ from armctl.runtime.provenance import Run, argument_notes, earlier_looks
 from armctl.stats.paired import PairedDifference
 from armctl.verdict.facts import Facts
 from armctl.verdict.notebook import Displayed
-from armctl.verdict.notes import certificate_notes, motion_notes
+from armctl.verdict.notes import certificate_notes, motion_notes, unclean_notes
 from armctl.verdict.scores import by_learner
-from armctl.verdict.sentences import headline, verdict
+from armctl.verdict.sentences import Verdict, verdict
 from armctl.verdict.summary import PolicySummary, counted_results, summarise
 from armctl.verdict.summary_tables import details, paired_table, policy_table
 from armctl.verdict.tables import Document, Remark, Table
@@ -100,29 +100,25 @@ class Comparison(Displayed):
         return {name: reduce(EpisodeTable.together, trained[name].values()) for name in names}
 
     @property
-    def verdict(self) -> str:
-        """Sentence on the better policy, by how much and at what cost; empty for a single policy."""
-        return verdict(*self._judged) if len(self.policies) > 1 else ""
-
-    @property
-    def headline(self) -> tuple[str, str]:
-        """The verdict in short: who is better by how much, and at what cost; empty for a single policy."""
-        return headline(*self._judged) if len(self.policies) > 1 else ("", "")
-
-    @property
-    def _judged(self) -> tuple[Any, ...]:
-        return self.policies, self.paired, self.facts.baseline, self.facts.margin, self.looks
+    def verdict(self) -> Verdict | None:
+        """Verdict on the better policy, by how much and at what cost; None for a single policy."""
+        if len(self.policies) < 2:
+            return None
+        return verdict(self.policies, self.paired, self.facts.baseline, self.facts.margin, self.looks)
 
     def document(self) -> Document:
-        """Return the tables, the verdict and all remarks."""
+        """Return the verdict, the tables and all remarks."""
         parts: list[Table | Remark] = []
+        verdict = self.verdict
+        if verdict:
+            parts += [Remark(sentence, "verdict") for sentence in (verdict.result, verdict.cost) if sentence]
         if self.policies:
             parts.append(policy_table(self.env, self.seed, self.policies, self.facts.disqualified))
         parts += [details(policy) for policy in self.policies]
         if self.paired:
             parts.append(paired_table(self.paired, self.facts.baseline))
-        if sentence := self.verdict:
-            parts.append(Remark(sentence, "verdict"))
+        if verdict and verdict.context:
+            parts.append(Remark(verdict.context))
         if self.policies and (infeasible := self.policies[0].infeasible):
             count = f"{infeasible} episodes are labelled infeasible"
             parts.append(Remark(f"{count}; they are left out of all figures, whoever wins them."))
@@ -140,7 +136,7 @@ class Comparison(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(policy.policy for policy in self.policies) or "no policy"
-        conclusion = f": {sentence}" if (sentence := self.verdict) else ""
+        conclusion = f": {self.verdict}" if self.verdict else ""
         failed = "".join(f"; {failure}" for failure in self.failures.values())
         return f"<Comparison of {names} in {self.env}, seed {self.seed}{conclusion}{failed}>"
 
@@ -167,6 +163,7 @@ def concluded(
         *([] if facts.return_bounds else [UNBOUNDED]),
         *certificate_notes(results),
         *motion_notes(results, facts.control_period),
+        *unclean_notes(results, facts.env_options.get("control") == "torque"),
         *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),
         *([NO_SUCCESS_SIGNAL.format(env=bare_id(comparison.env))] if by_return else []),
         *(load_notes(results, runs) if latencies else []),

@@ -9,7 +9,7 @@ from typing import Any
 
 from armctl.core.errors import ArmctlError, ConfigurationError, unknown_name
 from armctl.core.files import checked_name
-from armctl.core.registration import bare_id, environment_names, remember_named
+from armctl.core.registration import bare_id, environment_names, remember_named, short_name
 from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import full_id, make_worlds
 from armctl.episodes.stored import UNDISTURBED
@@ -40,8 +40,6 @@ COMPARISON, SWEEP, SUITE = "comparison", "sweep", "suite"
 """Kinds of studies: one cell; one task's cells; the cells of several tasks."""
 ALL = "all"
 """Name for all environments of all installed packages."""
-HOME = "armctl/"
-"""The namespace that is left out of the names of a suite's cells."""
 FROM_UNDISTURBED = "the undisturbed comparison"
 """Source of a sweep's decision times, unless a folder has them."""
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
@@ -182,7 +180,7 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
     failures: dict[str, str] = {}
     for name, env in by_name.items():
         try:
-            undisturbed = _undisturbed(line_up(env), env, {})
+            undisturbed = _undisturbed(line_up(env, size.one_of_each_kind), env, {})
             tasks.append(_task_plan(undisturbed, main_disturbances(env, size), None, f"{name}/", shared))
             unusable = unusable_agents(env)
         except ArmctlError as error:
@@ -252,4 +250,4 @@ def task_name(env: str) -> str:
 
     Raises `ConfigurationError` for an id that no file should be called by.
     """
-    return checked_name("task", bare_id(env).removeprefix(HOME).replace("/", "_"))
+    return checked_name("task", short_name(env).replace("/", "_"))

@@ -14,7 +14,7 @@ from armctl.study.comparison import Comparison
 from armctl.study.plan import COMPARISON, SUITE, SWEEP, Plan, task_name
 from armctl.study.suite_tables import rank_table, task_table
 from armctl.study.task_results import Sweep
-from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
+from armctl.study.task_verdict import TaskVerdict, holm_corrected, suite_headline, task_verdict
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.tables import Document, Remark, Table
 
@@ -96,11 +96,14 @@ class Study(Displayed):
         return messages
 
     def document(self) -> Document:
-        """Return a table of the tasks, the verdict on each, and the ranks of families."""
+        """Return the headline, the verdict on each task, a table of the tasks, and the ranks of families."""
         parts: list[Table | Remark] = []
         if self.verdicts:
+            parts.append(Remark(f"{suite_headline(self.verdicts)}.", "verdict"))
             parts.append(task_table(self.verdicts, self.episodes, self.seed))
-            parts += [Remark(verdict.sentence, "verdict") for verdict in self.verdicts]
+            for verdict in self.verdicts:
+                parts.append(Remark(f"{verdict.task}: {verdict.verdict}.", "verdict"))
+                parts += [Remark(verdict.context)] if verdict.context else []
         parts += [rank_table(league) for league in self.leagues]
         parts += [Remark(problem, "problem") for problem in self.problems]
         if self.interrupted:

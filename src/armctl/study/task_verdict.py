@@ -6,13 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
-from armctl.core.registration import bare_id
+from armctl.core.registration import bare_id, short_name
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import privileges
 from armctl.runtime.provenance import looks_in_words
 from armctl.stats.across_tasks import Choice, TaskPair, choose, pairwise_by_task, rate_of, values_of
 from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
 from armctl.stats.paired import MARGIN, holm
+from armctl.stats.robustness import listed
 from armctl.study.comparison import Comparison
 from armctl.study.task_results import Sweep
 from armctl.verdict.summary import PolicySummary, counted_rows
@@ -155,17 +156,17 @@ class TaskVerdict:
         by_name = {policy.policy: policy for policy in self.policies}
         contenders = [by_name[name] for name in self.contenders]
         parts = [words for policy in contenders for words in policy.effort]
-        parts.append(f"time per decision: {_times(contenders)}")
+        parts.append(f"median decision time: {_times(contenders)}")
         sees = privileges({policy.policy: policy.sees for policy in contenders})
         return " ".join(filter(None, ("; ".join(parts) + ".", sees)))
 
     @property
-    def sentence(self) -> str:
-        """Whole verdict."""
+    def context(self) -> str:
+        """Disturbances and costs: what follows the verdict."""
         if self.undisturbed is None:
-            return f"{self.task}: {self.verdict}."
+            return ""
         reversals = f"{self.reversals[:1].upper()}{self.reversals[1:]}." if self.reversals else ""
-        return " ".join(filter(None, (f"{self.task}: {self.verdict}.", reversals, self.not_compared, self.costs)))
+        return " ".join(filter(None, (reversals, self.not_compared, self.costs)))
 
 
 def task_verdict(sweep: Sweep) -> TaskVerdict:
@@ -232,6 +233,40 @@ def holm_corrected(verdicts: Sequence[TaskVerdict]) -> list[TaskVerdict]:
     ]
 
 
+def suite_headline(verdicts: Sequence[TaskVerdict]) -> str:
+    """Return a sentence: in which tasks each kind is better in success or faster, and which are undecided.
+
+    `verdicts` are corrected for all tasks, as `Study.verdicts` is.
+    """
+    pairs = {short_name(verdict.env): pair for verdict in verdicts if (pair := verdict.undisturbed)}
+    if not pairs:
+        return "No task has both classical and learned results"
+    kinds = {
+        "classical is better": [task for task, pair in pairs.items() if pair.better > 0],
+        "learned is better": [task for task, pair in pairs.items() if pair.better < 0],
+        f"equivalent within {100 * MARGIN:g} points": [task for task, pair in pairs.items() if _is_equivalent(pair)],
+    }
+    undecided = [task for task in pairs if not any(task in tasks for tasks in kinds.values())]
+    parts = [f"{name} in {listed(tasks)}" for name, tasks in kinds.items() if tasks]
+    if undecided:
+        episodes = min(pairs[task].episodes for task in undecided)
+        widest = max(max(map(abs, pairs[task].difference.bounds)) for task in undecided)
+        parts.append(
+            f"undecided in {listed(undecided)}, where {episodes} episodes leave differences up to "
+            f"{100 * widest:.0f} points possible"
+        )
+    for sign, kind in ((1, "classical"), (-1, "learned")):
+        if faster := [task for task, pair in pairs.items() if pair.faster == sign]:
+            parts.append(f"{kind} takes fewer steps in {listed(faster)}")
+    looks = sorted({episodes for verdict in verdicts for episodes in verdict.looks})
+    parts += [looks_in_words(looks)] if looks else []
+    return f"Success in {len(pairs)} task{'s' * (len(pairs) > 1)}: {'; '.join(parts)}"
+
+
+def _is_equivalent(pair: TaskPair) -> bool:
+    return not pair.better and pair.episodes >= FEWEST and pair.equivalent(MARGIN)
+
+
 def success_table(comparison: Comparison) -> pd.DataFrame | None:
     """Return success by episode and policy; None if it is unknown. The episodes are those of `counted_results`.
 
@@ -259,8 +294,8 @@ def chosen(choice: Choice | None) -> str:
 
 
 def _times(policies: Sequence[PolicySummary]) -> str:
-    """Return mean decision times, each with what it is unless all are the same."""
-    times = [f"{policy.policy} {policy.decision_ms_mean:.2g} ms" for policy in policies]
+    """Return decision times, each with what it is unless all are the same."""
+    times = [f"{policy.policy} {policy.decision_time}" for policy in policies]
     kinds = [policy.timing for policy in policies]
     if len(set(kinds)) == 1:
         return ", ".join(times) + (f" ({kinds[0]})" if kinds[0] else "")

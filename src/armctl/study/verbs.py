@@ -98,8 +98,8 @@ def suite(
 
     `envs` are environments; `all`, the default, means those of all installed packages. Of each, the task's default
     line-up plays, every installed expert that fits, and every installed agent whose card names the environment; random
-    actions play only where there is nothing else. `quick` plays less (`line_up.QUICK` instead of `FULL`); `episodes` is
-    the number of episodes in each setting.
+    actions play only where there is nothing else. With `quick`, only a task's first expert and first
+    agent play, undisturbed and with delay (`line_up.QUICK`). `episodes` is the number of episodes in each setting.
 
     `out` gets one `results.sqlite` for all tasks. After an interrupt, the same call resumes. A task that cannot be
     played is in `failures`, and keeps none of the others from being played; so is an agent whose files are damaged.

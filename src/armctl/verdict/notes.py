@@ -1,9 +1,10 @@
-"""Remarks about a comparison's episodes: doubtful certificates, and policies that may be stuck."""
+"""Remarks about a comparison's episodes: doubtful certificates, successes that are not clean, stuck policies."""
 
 import numpy as np
 
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
+from armctl.verdict.scores import WITHIN_RANGE, WITHIN_SPEED
 
 STUCK_PATH, STUCK_SECONDS = 0.01, 1.0
 """m and s: a policy that moves the end-effector or the rover by less than this in an episode of at least so long, and
@@ -38,4 +39,26 @@ def motion_notes(results: EpisodeTable, control_period: float | None) -> list[st
                 f"{name} hardly moved in {count} of {len(episodes)} episodes (a path below {100 * STUCK_PATH:g} cm in "
                 f"at least {STUCK_SECONDS:g} s, and no success): it may be stuck."
             )
+    return notes
+
+
+def unclean_notes(results: EpisodeTable, torque_control: bool) -> list[str]:
+    """Return a remark on each policy with successes that are not clean: what they touch or exceed, and by how much.
+
+    Without `torque_control`, drives command no speed beyond a limit, so that an excess is theirs and not the policy's.
+    """
+    cause = "by the policy's torques" if torque_control else "an overshoot of the drives, which command no such speed"
+    notes = []
+    for name, episodes in results.by_policy().items():
+        won = episodes[episodes.won]
+        ranges, speeds = won.column("range_use"), won.column("speed_use")
+        contacts = int(sum(count > 0 for count in won.column("contacts").tolist() if count is not None))
+        beyond_range, beyond_speed = ranges > WITHIN_RANGE, speeds > WITHIN_SPEED
+        reasons = [f"{contacts} with a forbidden contact"] if contacts else []
+        if beyond_range.any():
+            reasons.append(f"{beyond_range.sum()} beyond a joint's range (up to {ranges.max():.2f} times half of it)")
+        if beyond_speed.any():
+            reasons.append(f"{beyond_speed.sum()} beyond a speed limit (up to {speeds.max():.2f} times it; {cause})")
+        if reasons:
+            notes.append(f"Successes of {name} that are not clean, of {len(won)}: {', '.join(reasons)}.")
     return notes

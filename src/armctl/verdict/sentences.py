@@ -42,13 +42,28 @@ class Pair:
         return self.difference.success_among(self.num_comparisons)
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict of a comparison, in the order in which it is read; as a string, all of it."""
+
+    result: str
+    """Which policy of the first pair is better, by how much, and how certain that is: a sentence."""
+    cost: str = ""
+    """Decision times of both, and the decisions that their training took; empty without a pair."""
+    context: str = ""
+    """Everything else: further pairs, the training, the privileges, the networks for which the result holds."""
+
+    def __str__(self) -> str:
+        return " ".join(filter(None, (self.result, self.cost, self.context)))
+
+
 def verdict(
     policies: Sequence[PolicySummary],
     paired: Sequence[PairedDifference],
     baseline: str | None = None,
     margin: float = MARGIN,
     looks: Sequence[int] = (),
-) -> str:
+) -> Verdict:
     """Return the verdict on the best classical and the best learned policy, or on the two best, with their costs.
 
     With `baseline`, every other policy is compared with it instead. Policies that did not come with armctl are always
@@ -57,46 +72,21 @@ def verdict(
     printed before. Policies that a disturbance does not affect are in no pair, and named at the end.
     """
     fewest = min((pair.episodes for pair in paired), default=FEWEST)
+    remarks = (*map(_physics_failed, policies), _not_tested(policies))
     if fewest < FEWEST:
-        sentences = [f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: at least {FEWEST} are needed."]
-    else:
-        pairs = verdict_pairs(policies, paired, baseline)
-        sentences = [_sentence(pair, margin, looks) for pair in pairs]
-        sentences += [_cost(pairs[0]), _privileges(pairs[0]), _scope(pairs)] if pairs else []
-    return " ".join(filter(None, (*sentences, *map(_physics_failed, policies), _not_tested(policies))))
-
-
-def headline(
-    policies: Sequence[PolicySummary],
-    paired: Sequence[PairedDifference],
-    baseline: str | None = None,
-    margin: float = MARGIN,
-    looks: Sequence[int] = (),
-) -> tuple[str, str]:
-    """Return the verdict's first pair in two short sentences: which is better by how much, and at what cost, if any."""
+        result = f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: at least {FEWEST} are needed."
+        return Verdict(result, context=_joined(*remarks))
     pairs = verdict_pairs(policies, paired, baseline)
     if not pairs:
-        return verdict(policies, paired, baseline, margin), ""
-    if min(pair.episodes for pair in paired) < FEWEST:
-        return verdict(policies, paired, baseline, margin).partition(". ")[0].rstrip(".") + ".", ""
-    pair = pairs[0]
-    names = f"{pair.first.policy} and {pair.second.policy}"
-    if pair.p.success is None:
-        parts = [_by_return(pair, looks)]
-    elif pair.p.success < SIGNIFICANT:
-        gain, _, interval = _points(pair).removeprefix("+").partition(" [")
-        parts = [f"{pair.first.policy} beats {pair.second.policy} by {gain} of success [{interval}"]
-    elif pair.difference.equivalent(margin, pair.num_comparisons):
-        parts = [f"{names} are equivalent within {100 * margin:g} points of success", _by_steps(pair)]
-    else:
-        parts = [f"Undecided between {names}: success {_points(pair)}", _by_steps(pair)]
-    if pair.p.success is not None and looks:
-        parts.append(looks_in_words(looks))
-    times = [
-        f"{policy.policy} {policy.decision_ms_mean:.2g} ms{policy.training.brief}"
-        for policy in (pair.first, pair.second)
-    ]
-    return f"{'; '.join(filter(None, parts))}.", f"Mean decision time: {', '.join(times)}{_timing(pair)}."
+        return Verdict(_joined(*remarks))
+    first, *others = (_sentences(pair, margin, looks) for pair in pairs)
+    further = (sentence for sentences in others for sentence in sentences)
+    context = _joined(*first[1:], *further, _effort(pairs[0]), _privileges(pairs[0]), _scope(pairs), *remarks)
+    return Verdict(first[0], _decision_times(pairs[0]), context)
+
+
+def _joined(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))
 
 
 def verdict_pairs(
@@ -155,11 +145,11 @@ def _gain(pair: PairedDifference) -> float:
     return next(filter(None, gains), 0.0)
 
 
-def _sentence(pair: Pair, margin: float, looks: Sequence[int]) -> str:
+def _sentences(pair: Pair, margin: float, looks: Sequence[int]) -> list[str]:
     """Return the difference in success, and if that is not significant, in steps; then that in return."""
     first, second, p = pair.first.policy, pair.second.policy, pair.p.success
     if p is None:
-        return f"{_by_return(pair, looks)}."
+        return [f"{_by_return(pair, looks)}."]
     limit = f"{100 * margin:g} points"
     equivalent = pair.difference.equivalent(margin, pair.num_comparisons)
     steps, plan = _by_steps(pair), ""
@@ -172,12 +162,12 @@ def _sentence(pair: Pair, margin: float, looks: Sequence[int]) -> str:
         sentence = f"{first} and {second} are equivalent in success within {limit}{tests}: {_points(pair)}"
     else:
         sentence = f"Undecided between {first} and {second}: success {_points(pair)}, {_p(pair, p)}"
-        plan = f" {_plan(pair, margin)}."
+        plan = f"{_plan(pair, margin)}."
     if steps:
         sentence += f"; {steps}, p = {p_value(pair.p.steps)}{'' if _p(pair, p) in sentence else _family(pair)}"
     caution = f"; {looks_in_words(looks)}" if looks else ""
     earns = _earns_more(pair)
-    return f"{sentence}{caution}.{plan}{f' {earns}.' if earns else ''}"
+    return [f"{sentence}{caution}.", *filter(None, (plan, f"{earns}." if earns else ""))]
 
 
 def _p(pair: Pair, p: float | None) -> str:
@@ -185,7 +175,7 @@ def _p(pair: Pair, p: float | None) -> str:
 
 
 def _family(pair: Pair) -> str:
-    return f" after Holm's correction for {pair.p.tests} tests" if pair.p.tests > 1 else ""
+    return f" (Holm, {pair.p.tests} tests)" if pair.p.tests > 1 else ""
 
 
 def _points(pair: Pair) -> str:
@@ -208,12 +198,17 @@ def _plan(pair: Pair, margin: float) -> str:
     return f"To resolve a {100 * margin:g}-point difference, run about {rounded:,} more episodes"
 
 
-def _cost(pair: Pair) -> str:
-    """Return the effort of training both policies, and their decision times."""
+def _decision_times(pair: Pair) -> str:
+    """Return the decision times of both policies, and the decisions of their training."""
     policies = (pair.first, pair.second)
-    training = "; ".join(words for policy in policies for words in policy.effort)
-    times = ", ".join(f"{policy.policy}: {policy.decision_ms_mean:.2g} ms per decision" for policy in policies)
-    return f"{training}. {times}{_timing(pair)}." if training else f"{times}{_timing(pair)}."
+    times = ", ".join(f"{policy.policy} {policy.decision_time}{policy.training.brief}" for policy in policies)
+    return f"Median decision time: {times}{_timing(pair)}."
+
+
+def _effort(pair: Pair) -> str:
+    """Return the effort of training both policies; empty if neither was trained."""
+    efforts = "; ".join(words for policy in (pair.first, pair.second) for words in policy.effort)
+    return f"{efforts}." if efforts else ""
 
 
 def _timing(pair: Pair) -> str:
@@ -267,7 +262,7 @@ def _by_return(pair: Pair, looks: Sequence[int]) -> str:
     else:
         higher = pair.difference.simultaneous.superiority
         value, low, high = (100 * share for share in (higher.value, *higher.bounds))
-        family = f" after Holm's correction for {pair.p.pairs} pairs" if pair.p.pairs > 1 else ""
+        family = f" (Holm, {pair.p.pairs} pairs)" if pair.p.pairs > 1 else ""
         test = f"sign test, p = {p_value(pair.p.higher)}{family}; ties count half"
         sentence = f"{first} has the higher return in {value:.0f} % [{low:.0f}, {high:.0f}] of episodes ({test})"
         if pair.p.higher >= SIGNIFICANT or low <= 50 <= high:

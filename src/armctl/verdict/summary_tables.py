@@ -24,6 +24,8 @@ from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
 
 DISQUALIFIED, SPARED = "disqualified", "spared"
+FEW_UNDETECTED = 0.02
+"""Share of failures that may go undetected without a remark: 2 % of the possible returns."""
 
 
 def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqualified: Sequence[str] = ()) -> Table:
@@ -62,6 +64,12 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
         caption += " Clean: without contacts and beyond no limit. Steps: to the goal; failures count as the time limit."
     else:
         caption += " Length: steps of an episode."
+    if not unbounded and (share := _undetected_share(policies[0].episodes)) > FEW_UNDETECTED:
+        more = f"{_episodes_for(FEW_UNDETECTED):,} episodes would leave {100 * FEW_UNDETECTED:g} %"
+        caption += (
+            f" Intervals of returns and steps include rare failures, since {policies[0].episodes} episodes without one "
+            f"do not exclude them in {100 * share:.1f} % of episodes; {more}."
+        )
     if unbounded:
         caption += " The return has no stated bounds: its mean has no interval, its median has one."
     left_out = ("length",) if by_success else ("success", "clean", "steps")
@@ -70,6 +78,16 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
     records += [{"policy": name, "disqualified": True} for name in disqualified]
     title = f"{env}: {policies[0].planned} episodes of seed {seed}"
     return Table("policies", title, columns, rows, records, caption)
+
+
+def _undetected_share(episodes: int) -> float:
+    """Return the largest share of failures that episodes without any do not exclude (Clopper and Pearson, 95 %)."""
+    return 1.0 - math.exp(math.log(0.025) / episodes)
+
+
+def _episodes_for(share: float) -> int:
+    """Return the number of episodes that exclude a larger share of failures if none of them has any."""
+    return math.ceil(math.log(0.025) / math.log1p(-share))
 
 
 def _training(policy: PolicySummary) -> str:
@@ -175,9 +193,11 @@ def sweep_parts(
 
     `pairs` are the tests of each two policies, as `Sweep.pairs` has them, `looks` the earlier ones of `Sweep.looks`.
     """
-    parts: list[Table | Remark] = []
     by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
     effects, rankings = degradations(points), robustness_rankings(points, pairs)
+    parts: list[Table | Remark] = []
+    if rankings and policies > 1:
+        parts.append(Remark(with_looks(robustness_headline(rankings), looks), "verdict"))
     for name, rows in points.groupby("disturbance", sort=False):
         levels = list(dict.fromkeys(rows.level))
         if len(levels) == 1:  # the undisturbed one: cut short
@@ -214,8 +234,6 @@ def sweep_parts(
         )
     worse = f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate})."
     parts.append(Remark(with_looks(worse, looks)))
-    if rankings and policies > 1:
-        parts.append(Remark(with_looks(robustness_headline(rankings), looks), "verdict"))
     return parts
 
 
@@ -235,9 +253,10 @@ def _degradation_text(effects: Sequence[Degradation]) -> str:
         if steps:
             sentences.append(f"{name}: {', '.join(steps)}.")
         else:
-            unharmed.append(name)
+            drop = effect.largest_drop
+            unharmed.append(f"{name} ({100 * drop[0]:.1f} points at {drop[1]:g})" if drop else name)
     if unharmed:
-        sentences.append(f"Not significantly worse: {', '.join(unharmed)}.")
+        sentences.append(f"No significant drop: {', '.join(unharmed)}.")
     return " ".join(sentences)
 
 

@@ -22,7 +22,7 @@ class Point:
     score: Estimate
     """Success rate, or return if success is unknown."""
     decision_ms: float
-    """Mean of a control step, planning at the reset included."""
+    """`PolicySummary.control_step_ms`."""
     slow_ms: float
     """99th percentile."""
 
@@ -34,7 +34,7 @@ def points(policies: Sequence[PolicySummary]) -> list[Point]:
     if len({policy.timing for policy in policies}) > 1:
         return []
     return [
-        Point(policy.policy, score, max(policy.decision_ms_mean, SHORTEST_MS), max(policy.decision_ms_p99, SHORTEST_MS))
+        Point(policy.policy, score, max(policy.control_step_ms, SHORTEST_MS), max(policy.decision_ms_p99, SHORTEST_MS))
         for policy in policies
         if (score := policy.success if by_success else policy.episode_return)
     ]
