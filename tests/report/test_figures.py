@@ -1,5 +1,6 @@
 """The figures of the report."""
 
+import itertools
 import json
 import re
 import shutil
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.report import colours, style, write_report
+from armctl.report import colours, style, suite_figures, write_report
 from armctl.report.profile import profile_start
 from armctl.study import compare
 from armctl.study.reproduce import card_path
@@ -100,7 +101,7 @@ def test_policies_are_told_apart():
 
 
 def test_colours_are_told_apart_and_readable_on_white_and_on_dark():
-    for palette in (colours.COLOURS, colours.TERM_COLOURS):
+    for palette in (colours.COLOURS, colours.TERM_COLOURS, colours.FAMILY_COLOURS):
         dark = [colours.DARK.get(colour, colour) for colour in palette]
         assert len(set(dark)) == len(palette)
         for colour in dark:
@@ -109,6 +110,25 @@ def test_colours_are_told_apart_and_readable_on_white_and_on_dark():
         assert contrast(ink, colours.PAPER) > 4.4
         assert contrast(colours.DARK[ink], colours.DARK[colours.PAPER]) > 4.5
     assert colours.DARK[colours.faint("#0072b2")] == colours.faint(colours.DARK["#0072b2"])
+
+
+def test_no_two_families_look_the_same():
+    """Their distance in CIELAB is above 20, ten times what is just noticeable, on a white page and on a dark one."""
+    names = [str(i) for i in range(len(colours.FAMILY_COLOURS))]
+    used = [style.colour for style in suite_figures.family_styles(names).values()]
+    for palette in (used, [colours.DARK.get(colour, colour) for colour in used]):
+        for one, other in itertools.combinations(palette, 2):
+            assert np.linalg.norm(lab(one) - lab(other)) > 20, (one, other)
+
+
+def lab(colour):
+    """Return CIELAB coordinates of a colour #rrggbb, for daylight (D65)."""
+    parts = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ linear
+    xyz /= (0.9505, 1.0, 1.089)
+    x, y, z = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
 
 
 def contrast(one, other):

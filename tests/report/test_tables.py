@@ -26,6 +26,7 @@ from armctl.study.reproduce import Reproduction
 from armctl.study.task_results import COLUMNS
 from armctl.verdict.notebook import html_of
 from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary_tables import policy_table
 from armctl.verdict.tables import Cell, Column, Document, Remark, Table, p_value, plain
 
 from ..made_up_comparison import made_up
@@ -274,3 +275,21 @@ def test_every_format_writes_every_document():
             write(found.document())
     assert tables(comparison_of(SHORT)).document.parts
     assert as_csv(Document([Remark("nothing")])) == "\n"
+
+
+def test_the_verdict_is_read_first_and_its_cost_is_that_of_the_table():
+    document = comparison_of(SHORT).document()
+    verdict, cost, table, *_ = document.parts
+    assert (verdict.kind, cost.kind, table.key) == ("verdict", "verdict", "policies")
+    assert verdict.text.startswith("reach_ik is better than reach_ppo" if "better" in verdict.text else "Undecided")
+    assert "reach_ik 0.054 ms (99th percentile 16 ms)" in cost.text
+    assert table.rows[0][[column.heading for column in table.columns].index("decision ms")].text == "0.054"
+    assert [part.text for part in document.parts if getattr(part, "kind", "") == "verdict"] == [verdict.text, cost.text]
+
+
+@pytest.mark.parametrize(("episodes", "share", "told"), [(20, 16.8, True), (182, 2.0, True), (183, 2.0, False)])
+def test_the_width_of_intervals_at_few_episodes_has_its_reason(episodes, share, told):
+    policies = [dataclasses.replace(summary_of(name, SUCCESS), episodes=episodes) for name in SHORT]
+    caption = policy_table("armctl/ArmReach-v0", 0, policies).caption
+    reason = f"since {episodes} episodes without one do not exclude them in {share} % of episodes; 183 episodes would"
+    assert (reason in caption) == told

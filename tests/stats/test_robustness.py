@@ -92,6 +92,30 @@ def test_chance_makes_nobody_a_leader():
     )
 
 
+@pytest.mark.parametrize(("won", "equivalent"), [(1000, True), (840, False)])
+def test_no_significant_difference_is_not_equivalence(won, equivalent):
+    """Ten episodes with 60 % against 100 % decide nothing; a thousand that all succeed show equivalence."""
+    few = ranked(points({"noise": {"a": (10, 10), "b": (10, 6)}}, levels=(0.0, 1.0), episodes=10), 10)
+    assert robustness_headline(few).startswith("Under noise, undecided: no significant difference")
+    many = points({"noise": {"a": (won, won), "b": (won, won)}}, levels=(0.0, 1.0), episodes=1000)
+    lost = (1000 - won) // 2
+    tests = {
+        (*where, frozenset("ab")): replace(pair_of(1.0, 0.0), episodes=1000, only_a=lost, only_b=lost)
+        for where in (NEUTRAL, ("noise", 1.0))
+    }
+    (noise,) = robustness_rankings(many, tests)
+    assert noise.equivalent == equivalent
+    assert noise.claim.startswith("all policies are equivalent within 2 points" if equivalent else "undecided")
+
+
+def test_a_drop_that_is_not_significant_is_told_with_its_size():
+    table = points({"noise": {"a": (10, 7, 10), "b": (10, 10, 10)}}, episodes=10).assign(sees="state")
+    table = table.assign(change=[0.0, 0.0, -0.3, 0.0, 0.0, 0.0])
+    a, b = degradations(table)
+    assert (a.drops, a.largest_drop) == (None, (-0.3, 1.0))
+    assert (b.drops, b.largest_drop) == (None, None)
+
+
 def test_whoever_recovers_was_worse_all_the_same_and_whoever_was_better_is_told():
     (noise,) = ranked(points({"noise": {"a": (50, 50, 40), "b": (50, 5, 42)}}))
     assert (noise.first, noise.worse) == ("a", {"b": Onset(1.0, lasts=False)})

@@ -7,7 +7,8 @@ import pytest
 import armctl
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
-from armctl.verdict.notes import STUCK_PATH, certificate_notes, motion_notes
+from armctl.verdict.notes import STUCK_PATH, certificate_notes, motion_notes, unclean_notes
+from armctl.verdict.scores import WITHIN_RANGE, WITHIN_SPEED, clean
 
 from ..made_up_episodes import played
 
@@ -45,3 +46,28 @@ def test_a_policy_that_hardly_moves_is_reported(change, period, reported):
     ]
     notes = motion_notes(EpisodeTable(episodes), period)
     assert [note.startswith("a hardly moved in 4 of 4 episodes") for note in notes] == [True] * reported
+
+
+@pytest.mark.parametrize(
+    ("use", "torque_control", "reason"),
+    [
+        ({}, False, None),
+        ({"range_use": WITHIN_RANGE, "speed_use": WITHIN_SPEED}, False, None),
+        ({"contacts": None}, False, None),
+        ({"contacts": 2}, False, "4 with a forbidden contact"),
+        ({"range_use": 1.02}, False, "4 beyond a joint's range (up to 1.02 times half of it)"),
+        ({"speed_use": 1.31}, False, "4 beyond a speed limit (up to 1.31 times it; an overshoot of the drives, which"),
+        ({"speed_use": 1.31}, True, "4 beyond a speed limit (up to 1.31 times it; by the policy's torques)"),
+    ],
+)
+def test_a_success_that_is_not_clean_has_its_reason(use, torque_control, reason):
+    limits = {"contacts": 0, "range_use": 0.5, "speed_use": 0.5} | use
+    episodes = [replace(one, success=True, metrics=replace(one.metrics, **limits)) for one in played(4, ("a",))]
+    notes = unclean_notes(EpisodeTable(episodes), torque_control)
+    assert [note.startswith(f"Successes of a that are not clean, of 4: {reason}") for note in notes] == (
+        [] if reason is None else [True]
+    )
+    if use.get("contacts", 0) is not None:
+        assert clean(EpisodeTable(episodes)).all() == (reason is None)
+    lost = [replace(one, success=False) for one in episodes]
+    assert unclean_notes(EpisodeTable(lost), torque_control) == []
