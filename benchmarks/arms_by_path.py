@@ -3,7 +3,7 @@
     python benchmarks/arms_by_path.py [--episodes 24] [--seed 0] [--policy reach_mpc]
 
 The files are those of example-robot-data. A file says nothing of pairs of links that cannot touch, nor of a home: the
-arm starts with its joints at zero, or in the middle of their range.
+arm starts with its joints at zero, or in the middle of their range, or above the floor if that is in it.
 """
 
 from pathlib import Path

@@ -82,7 +82,7 @@ def mutate_mesh(load, rng):
     limit = '<limit lower="-1" upper="1" velocity="1" effort="9"/>'
     robot = (
         f'<robot name="r"><link name="a"/><link name="b">{inertial}{mesh}</link><joint name="j" type="revolute">'
-        f'<parent link="a"/><child link="b"/>{limit}</joint></robot>'
+        f'<origin xyz="0 0 1"/><parent link="a"/><child link="b"/>{limit}</joint></robot>'
     )
     return load(robot.encode(), "small", **{"mesh.stl": mutated_bytes(rng, UR5_MESH)})
 

@@ -21,7 +21,15 @@ TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.2
 LIMIT = '<limit lower="-1" upper="1" velocity="1" effort="9"/>'
 
 
-def arm(inertia=INERTIA, placed="", origin="", shape='<sphere radius=".1"/>', axis="", mass="1", more=""):
+def arm(
+    inertia=INERTIA,
+    placed="",
+    origin='<origin xyz="0 0 1"/>',
+    shape='<sphere radius=".1"/>',
+    axis="",
+    mass="1",
+    more="",
+):
     return (
         f'<robot name="small"><link name="base"/><link name="upper"><inertial>{placed}<mass value="{mass}"/>{inertia}'
         f"</inertial><collision><geometry>{shape}</geometry></collision></link>"

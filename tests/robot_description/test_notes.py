@@ -2,15 +2,18 @@
 
 import warnings
 
+import mujoco
 import numpy as np
 import pytest
 
 import armctl
 from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
+from armctl.kinematics import ArmModel
 from armctl.robot_description import BUILTIN_ARMS, load_arm
+from armctl.robot_description.arm import robot_data
 
-from .small_arm import BOX, chain_of, everywhere, link
+from .small_arm import BOX, chain_of, everywhere, joint, link
 
 Z, Y, X = "0 0 1", "0 1 0", "1 0 0"
 
@@ -88,3 +91,95 @@ def test_the_inertia_of_a_plate_is_taken_and_one_a_little_beyond_is_mended(urdf,
 def test_an_inertia_far_beyond_is_refused(urdf):
     with pytest.raises(ConfigurationError, match="'l1' has an impossible inertia"):
         load_arm(urdf(l1=link("l1", BOX, moment=0.021)))
+
+
+def mounted(xyz, rpy="0 0 0", axes=(Z, Y, Y, X, Y, X)):
+    """A chain on a mount."""
+    mount = joint("mount", "mount_base", "base", "fixed", limit="")
+    mount = mount.replace('xyz="0 0 .4"', f'xyz="{xyz}" rpy="{rpy}"')
+    chain = chain_of(axes, length=0.2)
+    return chain.replace('<link name="base">', f'<link name="mount_base"/>{mount}<link name="base">')
+
+
+IN_FLOOR = {
+    "leaning": (mounted("0 0 0.6", "0 2.2 0"), "'l6' by 0.17 m"),
+    "lying": (mounted("0 0 0.01", "0 1.5708 0"), "'l1' by 0.02 m"),
+    "below": (mounted("0 0 -1.5"), "'l2' by 1.2 m.*'l6'"),
+}
+
+
+@pytest.mark.parametrize(("text", "culprit"), IN_FLOOR.values(), ids=IN_FLOOR)
+def test_a_home_in_the_floor_is_refused(urdf, text, culprit):
+    with pytest.raises(ConfigurationError, match=f"begins in the floor.*{culprit}.*home"):
+        load_arm(urdf(text), home=np.zeros(6))
+
+
+def test_an_arm_that_is_in_the_floor_at_any_home_is_refused(urdf):
+    for text in (mounted("0 0 -1.5"), mounted("0 0 0.01", "0 1.5708 0")):
+        with pytest.raises(ConfigurationError, match="begins in the floor"):
+            load_arm(urdf(text))
+
+
+def test_where_no_home_is_given_one_above_the_floor_is_chosen_and_told(urdf):
+    arm = load_arm(urdf(mounted("0 0 0.6", "0 2.2 0")))
+    (note,) = (note for note in arm.notes if "in the floor" in note)
+    assert "'l6' by 0.17 m" in note
+    assert ", ".join(f"{position:g}" for position in arm.home) in note
+    assert ArmModel(arm).is_free(arm.home)
+    by_path = load_arm(robot_data() / BUILTIN_ARMS["ur5"].urdf, tip="ee_link")
+    assert "'wrist_2_link' by 0.068 m, 'wrist_3_link'" in "".join(by_path.notes)
+    assert {link for pair in by_path.collision_pairs for link in pair} >= {"wrist_3_link", "(floor)"}
+
+
+def test_another_home_helps_also_from_the_command_line(urdf):
+    path, home = urdf(mounted("0 0 0.6", "0 2.2 0")), (0, -1.0, 0, 0, 0, 0)
+    envs = make_worlds("armctl/ArmReach-v0", 1, {"robot": str(path), "home": list(home)})
+    np.testing.assert_array_equal(envs.task.robot.home, home)
+
+
+UPRIGHT, HANGING, TILTED, WALL = ("0 0 0", "0 0 0"), ("0 0 0.7", "3.14159265358979 0 0"), ("0 0 0.15", "1 0 0"), (
+    "0 0 0.3", "1.5708 0 0",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("mount", [UPRIGHT, HANGING, TILTED, WALL])
+def test_no_link_passes_through_the_floor_unseen(urdf, mount):
+    home = [0, 1.5 * (mount is HANGING), 0, 0, 0, 0]
+    arm, model, world = everywhere(urdf(mounted(*mount)), home=home)
+    data = mujoco.MjData(world)
+    low = 0
+    for data.qpos[:] in model.random_configurations(np.random.default_rng(0), 300):
+        mujoco.mj_forward(world, data)
+        ends = [world.geom(i).name for contact in data.contact for i in contact.geom]
+        for capsule in arm.capsules:
+            geom = data.geom(f"{capsule.link}_collision")
+            axis = geom.xmat.reshape(3, 3)[:, 2] * world.geom(geom.id).size[1]
+            depth = world.geom(geom.id).size[0] + abs(axis[2]) - geom.xpos[2]
+            if depth > 1e-3 and capsule.link != "base" and not (capsule.link == "l1" and mount is UPRIGHT):
+                low += 1
+                assert geom.name in ends
+                assert "floor" in ends
+                assert not model.is_free(data.qpos)
+    assert low > 20
+
+
+def test_links_that_are_left_out_of_contacts_are_told(urdf):
+    folded = noted(urdf(mounted("0 0 1").replace('"2"', '"3"')), home=[0, 0, 3, 0, 0, 0])
+    assert "'l1' with 'l5'" in folded
+    assert "touch each other at home" in folded
+    assert "Contacts" not in noted(urdf(mounted("0 0 0")))
+    shipped = noted(robot_data() / BUILTIN_ARMS["panda"].urdf, tip="panda_hand_tcp")
+    assert "'panda_link5' with 'panda_link7'" in shipped
+    assert "'panda_link2' with 'panda_link4'" in shipped
+    assert "near each other in all postures" in shipped
+
+
+def test_an_srdf_about_links_that_the_arm_does_not_have_rules_nothing_out(urdf, tmp_path):
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text('<robot name="chain"><disable_collisions link1="gripper" link2="l3"/></robot>')
+    path = urdf(mounted("0 0 0"))
+    assert load_arm(path, srdf=srdf).collision_pairs == load_arm(path).collision_pairs
+
+
+def test_a_first_link_in_the_floor_that_only_turns_is_told(urdf):
+    assert "Link 'l1' is in the floor" in noted(urdf(mounted("0 0 -0.15")), home=[0, 0.2, 0, 0, 0, 0])

@@ -13,6 +13,7 @@ from armctl.kernels import capsules, clearance, edges
 from armctl.kernels.clearance import ScaledScene
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.records import box_records
+from armctl.robot_description.collision_pairs import is_upright
 from armctl.scene import NO_BOXES, Boxes
 
 SPACING = 0.06
@@ -46,8 +47,8 @@ class Clearance:
         self.scene = self.among(model.boxes)
 
     def among(self, boxes: Boxes) -> ScaledScene:
-        """Return the scene among boxes. The first link only turns on the spot, and is not checked against them."""
-        moving = np.flatnonzero(self.model.links["joint"] > 1)
+        """Return the scene among boxes. The first link of an upright arm is not checked: it turns on the spot."""
+        moving = np.flatnonzero(self.model.links["joint"] > int(is_upright(self.model.pinocchio)))
         with_boxes = [(edges.LINK_AND_BOX, link, box) for link in moving for box in range(len(boxes))]
         pairs = np.array([*self._pairs, *with_boxes], dtype=edges.PAIR)
         scales = np.concatenate((self._scales, np.ones(len(with_boxes))))

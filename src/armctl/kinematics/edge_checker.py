@@ -14,11 +14,10 @@ from armctl.core.errors import ConfigurationError
 from armctl.kernels import edges
 from armctl.kinematics.model import ArmModel
 from armctl.kinematics.records import Records, box_records
+from armctl.robot_description.collision_pairs import is_upright
 from armctl.robot_description.joint_profiles import TICK
 from armctl.scene import Boxes
 
-UPRIGHT = 1e-9
-"""Tolerance on the cosine of a vertical axis, for rounding."""
 FAR = 0.1
 """m: boxes farther than this from a link's reach are not checked against it."""
 MAX_CLEARANCE = 0.05
@@ -36,8 +35,8 @@ class ArmShapes:
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model
-        joints, links = model.joints, model.links
-        self._on_upright = abs((joints[0]["base"] @ model.axes[0])[2]) > 1 - UPRIGHT
+        links = model.links
+        self._on_upright = is_upright(model.pinocchio)
         ends = np.stack((links["start"], links["end"]), axis=1)
         bounds = [self._bounds(*link) for link in zip(links["joint"], ends, links["radius"], strict=True)]
         self._radii = np.array([radii for radii, _ in bounds]).reshape(-1, model.dof)

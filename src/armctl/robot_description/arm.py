@@ -18,8 +18,8 @@ from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.kernels.drives import DRIVE
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
-from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing
-from armctl.robot_description.notes import notes_on_kinematics, tell
+from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing, posture_above_floor
+from armctl.robot_description.notes import in_words, note_on_home, notes_on_kinematics, notes_on_pairs, tell
 from armctl.robot_description.urdf import Shape, Urdf
 from armctl.robot_description.xml_file import impossible_pairs
 
@@ -141,10 +141,10 @@ def load_arm(
     """Read an arm by name (`ur3`, `ur5`, `ur10`, `z1`, `panda`, `xarm7`) or from the path of a URDF file.
 
     `tip` is the end-effector link; the default is a file's only leaf link. `home` (dof,) rad is where episodes start;
-    the default is zero, or the middle of the range where zero is out of range. `srdf` is a file whose
-    `<disable_collisions>` exclude pairs of links that cannot touch. `max_acceleration` (rad/s^2) and `max_jerk`
-    (rad/s^3) are one number for all joints or one for each; the defaults are a named arm's own, `MAX_ACCELERATION` and
-    `MAX_JERK`.
+    the default is zero, or the middle of the range where zero is out of range, or a posture above the floor if links
+    are in it otherwise. `srdf` is a file whose `<disable_collisions>` exclude pairs of links that cannot touch.
+    `max_acceleration` (rad/s^2) and `max_jerk` (rad/s^3) are one number for all joints or one for each; the defaults
+    are a named arm's own, `MAX_ACCELERATION` and `MAX_JERK`.
 
     A file may come from a stranger. Meshes are read only below its own package: the nearest folder above it with a
     `package.xml`; or else the folder that holds its folder `urdf` or `robots`; or else its own folder.
@@ -218,23 +218,35 @@ def _read_arm(
         enclosing_capsule(link, np.vstack([shape.vertices for shape in parts]))
         for link, parts in itertools.groupby(shapes, key=lambda shape: shape.link)
     )
-    impossible = impossible_pairs(srdf) if srdf else set()
+    impossible, text = impossible_pairs(srdf) if srdf else set(), source.text()
     try:
-        pairs = pairs_worth_testing(source.text(), capsules, home_position, impossible)
+        pairs = pairs_worth_testing(text, capsules, home_position, impossible)
+        if pairs.floor_depths and home is None:
+            above = posture_above_floor(text, capsules, home_position, pairs)
+            if above is not None:
+                source.notes.append(note_on_home(above, pairs.floor_depths))
+                (home_position,) = _frozen(above)
+                pairs = pairs_worth_testing(text, capsules, home_position, impossible)
     except (ValueError, RuntimeError) as error:
         raise ConfigurationError(f"{path.name} is not an arm that Pinocchio can model: {error}") from error
-    notes = () if builtin else (*source.notes, *notes_on_kinematics(source.text(), source.tip))
+    if pairs.floor_depths:
+        raise ConfigurationError(
+            f"{path.name} begins in the floor, the plane z = 0: at home, the collision capsules of these links are in it: "
+            f"{in_words(pairs.floor_depths)}. Give another home, in rad (`--set home=0,-1.2,...`, load_arm(home=...)), "
+            "or a root link that is higher."
+        )
+    notes = () if builtin else (*source.notes, *notes_on_kinematics(text, source.tip), *notes_on_pairs(pairs))
     tell(path, notes)
     return ArmDescription(
         name=source.name,
-        urdf=source.text(),
+        urdf=text,
         joints=source.joints,
         tip=source.tip,
         home=home_position,
         limits=joint_limits,
         capsules=capsules,
         meshes=tuple(shape for shape in shapes if len(shape.triangles)),
-        collision_pairs=pairs,
+        collision_pairs=pairs.tested,
         notes=notes,
     )
 

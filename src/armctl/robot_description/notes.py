@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio
 
 from armctl.core.arrays import Array
-from armctl.robot_description.collision_pairs import link_frame
+from armctl.robot_description.collision_pairs import CollisionPairs, link_frame
 
 POSTURES = 32
 """Random configurations on which an arm is examined."""
@@ -45,6 +45,38 @@ def notes_on_kinematics(urdf: str, tip: str) -> list[str]:
             "poses are reached only where these suffice."
         )
     return notes
+
+
+def note_on_home(home: Array, depths: dict[str, float]) -> str:
+    """Return a note about a home (dof,) that was chosen, since otherwise links would be in the floor so deep (m)."""
+    positions = ", ".join(f"{position:g}" for position in home)
+    return (
+        f"With all joints at zero, or mid-range, links would be in the floor, the plane z = 0: {in_words(depths)}. "
+        f"Home is {positions} rad instead; home= gives another one."
+    )
+
+
+def in_words(depths: dict[str, float]) -> str:
+    """Return links and how deep they are in the floor (m), as text."""
+    return ", ".join(f"{link!r} by {depth:.2g} m" for link, depth in depths.items())
+
+
+def notes_on_pairs(pairs: CollisionPairs) -> list[str]:
+    """Return notes about pairs of links that are left out of the contacts."""
+    reasons = {
+        "touch each other at home": pairs.touching_at_home,
+        "are near each other in all postures": pairs.always_near,
+    }
+    notes = [
+        f"Link {link!r} is in the floor, at least its capsule; this is not counted, since it only turns on the spot."
+        for link in pairs.turning_in_floor
+    ]
+    return notes + [
+        f"Contacts of {', '.join(f'{first!r} with {second!r}' for first, second in left_out)} are not counted, since "
+        f"their capsules, which are wider than links, {reason}."
+        for reason, left_out in reasons.items()
+        if left_out
+    ]
 
 
 def _rank(jacobians: Array) -> int:

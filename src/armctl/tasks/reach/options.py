@@ -34,6 +34,8 @@ class ReachOptions:
     """`ur3`, `ur5`, `ur10`, the path of a URDF file, or the result of `armctl.load_arm`."""
     tip: str | None = None
     """The end-effector's link, for a URDF file in which several links could be it."""
+    home: Annotated[tuple[float, ...], Strict(False)] | None = None
+    """Joint positions in which episodes begin, rad. None: the default of `armctl.load_arm`."""
     control: Literal["position", "relative", "delta", "velocity", "torque"] = "position"
     """Control mode: the meaning of an action (see `armctl.robots.Arm`)."""
     tolerance: Positive = 0.05

@@ -82,7 +82,7 @@ class ReachTask(Task):
 
     def __init__(self, n: int, options: ReachOptions, threads: int = 0) -> None:
         self.options = options
-        description = load_arm(options.robot) if options.tip is None else load_arm(options.robot, tip=options.tip)
+        description = load_arm(options.robot, tip=options.tip, home=options.home)
         model = self._build(description)
         model.geom("target").size[:] = options.tolerance
         super().__init__(Simulation(model, n, threads, speed_limits(description)), CONTROL_PERIOD)
