@@ -2,11 +2,14 @@
 
 import json
 import os
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+import armctl as armctl_package
 from armctl.core.errors import ConfigurationError
 from armctl.core.registration import check_named
 from armctl.study import compare
@@ -222,3 +225,10 @@ def test_workers_import_nothing_from_where_they_run(tmp_path):
         (tmp_path / f"{name}.py").write_text(EVIL)
     program("compare", "random", "--episodes", "2", "--workers", "2", "--out", "out", cwd=tmp_path)
     assert marks(tmp_path) == []
+
+
+def test_tables_are_written_and_never_read():
+    """139 kB of Parquet took 43 s to read: what lies beside a store is output."""
+    readers = re.compile(r"read_(parquet|table|feather|orc|hdf|pickle)|Parquet(File|Dataset)|scan_parquet|iter_batches")
+    package = Path(armctl_package.__file__).parent
+    assert not [path.name for path in package.rglob("*.py") if readers.search(path.read_text())]

@@ -14,6 +14,7 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
+from armctl.cli import learn
 from armctl.cli.options import progress_bar
 from armctl.core.console import PlainConsole, printable
 from armctl.report.terminal import DocumentView, output_console
@@ -160,3 +161,34 @@ def test_a_progress_bar_in_a_terminal_shows_names_as_they_are(tmp_path):
     assert b"[bold]" in said
     assert b"\x1b]0;" not in said
     assert rb"\x1b]0;" in said
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "postgresql://me:{}@host/db", "mysql+pymysql://me:{}@host:3306/db", "https://{}@hub.example/x", "http://me:{}@[::1]:80/",
+        "ray://me:{}@host:10001", "ftp://:{}@host", "https://me:x@{}@host/", "mssql://h/db?password={}&user=me",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("secret", ["hunter2", "a/b", "12345", "p%40ss", "a:b", "ö~!$"])
+def test_secrets_in_addresses_are_not_shown(address, secret, capsys):
+    if "/" in secret and ("://{}" in address or "@{}" in address):
+        return  # a host ends there
+    text = f"cannot reach {address.format(secret)} (mine.py:3)"
+    PlainConsole(stderr=True).print(text, soft_wrap=True)
+    learn.say(text)
+    for shown in (printable(text), *capsys.readouterr()):
+        assert secret not in shown
+        assert "***" in shown
+        assert "(mine.py:3)" in shown
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "http://127.0.0.1:8000/?token=a1b2", "https://hub/owner/x@main", "http://hub:8080/owner/x@main", "a:b@c",
+        "https://github.com/armctl/armctl", "http://[::1]:80/a@b", "file:///tmp/a@b", "me@host", "dask://host:8786",
+    ],
+)  # fmt: skip
+def test_other_addresses_are_shown(text):
+    assert printable(text) == text

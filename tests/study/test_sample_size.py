@@ -1,5 +1,7 @@
 """How many episodes a comparison takes, from a pilot or in general."""
 
+import math
+
 import pytest
 
 import armctl
@@ -54,14 +56,39 @@ def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
     for name in ("episodes_to_detect", "episodes_to_show_equivalence"):
         counts = [(few[name], more[name]) for few, more in zip(one, six, strict=True) if few[name]]
         assert all(more > few for few, more in counts)
-    with pytest.raises(ConfigurationError, match="at least one pair"):
+    with pytest.raises(ConfigurationError, match="from one to 1,000,000 pairs"):
         plan_comparison(0.1, pairs=0)
 
 
-@pytest.mark.parametrize(("difference", "power"), [(0.0, 0.8), (1.5, 0.8), (0.02, 0.0), (0.02, 1.0)])
+@pytest.mark.parametrize(
+    ("difference", "power"),
+    [
+        (0.0, 0.8),
+        (1.5, 0.8),
+        (0.02, 0.0),
+        (0.02, 1.0),
+        (math.nan, 0.8),
+        (1e-4, 0.8),
+        (0.02, math.nan),
+        (0.02, 1 - 1e-9),
+    ],
+)
 def test_a_plan_needs_a_difference_and_a_power(difference, power):
-    with pytest.raises(ConfigurationError, match=r"between 0 and 1"):
+    with pytest.raises(ConfigurationError, match=r"is from 0.1 to 100 %|up to 0.9999"):
         plan_comparison(difference, power)
+
+
+@pytest.mark.parametrize("pairs", [-1, 10**6 + 1, 10**30, 10**400])
+def test_a_plan_for_more_pairs_than_there_can_be(pairs):
+    with pytest.raises(ConfigurationError, match="from one to 1,000,000 pairs"):
+        plan_comparison(0.1, pairs=pairs)
+
+
+def test_a_plan_for_very_many_pairs():
+    records = plan_comparison(0.1, pairs=10**6).tables[0].records
+    episodes = [record["episodes_to_detect"] for record in records if record["episodes_to_detect"]]
+    assert episodes == sorted(episodes)
+    assert 300 < episodes[0] < episodes[-1] < 2000
 
 
 def test_a_plan_needs_results(tmp_path):

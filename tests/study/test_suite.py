@@ -180,11 +180,23 @@ def test_unusable_arguments_say_so(folder):
         ({"kind": "sweep"}, "it has 2 tasks"),
         ({"seed": 7}, "is of another environment or seed"),
         ({"tasks": {REACH: {"levels": {"delay": ["much"]}}}}, "cannot be read as results of a suite"),
+        ({"envs": [REACH] * 100_000}, "names a task or a level twice"),
     ],
 )
 def test_a_changed_record_is_refused(folder, values, says):
     change_record(folder, lambda record: record.update(values))
     with pytest.raises(ResultsError, match=says):
+        read_study(folder)
+
+
+def test_a_level_100_000_times_is_refused(folder):
+    def change(record):
+        levels = record["tasks"][REACH]["levels"]
+        name = next(iter(levels))
+        levels[name] = [levels[name][0]] + levels[name][1:] * 100_000
+
+    change_record(folder, change)
+    with pytest.raises(ResultsError, match="names a task or a level twice"):
         read_study(folder)
 
 

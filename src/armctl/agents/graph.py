@@ -229,7 +229,7 @@ def _check_sizes(model: ModelProto, constants: dict[str, NDArray[Any]], path: Pa
 
 
 def _for_two_worlds(model: ModelProto) -> ModelProto:
-    """Return the model as it is for two worlds, without what the file says of sizes, and without large arrays' numbers."""
+    """Return the model as it is for two worlds, without what the file says of sizes and the numbers of large arrays."""
     two_worlds = ModelProto()
     two_worlds.CopyFrom(model)
     initialised = {tensor.name for tensor in model.graph.initializer}

@@ -63,6 +63,9 @@ def _study(stored: StoredStudy) -> Study:
     study = _STUDY.validate_python(record | {"tasks": sweeps})
     if study.kind != SUITE and len(tasks) != 1:
         raise ValueError(f"it has {len(tasks)} tasks")
+    levels = [levels for swept in study.tasks.values() for levels in swept.levels.values()]
+    if any(len(set(values)) < len(values) for values in (study.envs, *levels)):
+        raise ValueError("it names a task or a level twice")
     planned, study.tasks = study.tasks, {}
     for env in study.envs:
         if env in planned:

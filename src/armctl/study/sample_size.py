@@ -11,6 +11,8 @@ from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Document, Rema
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 """Shares of episodes that exactly one of two policies wins."""
 COUNTS = ("episodes_to_detect", "episodes_to_show_equivalence")
+MIN_DIFFERENCE, MAX_POWER, MAX_PAIRS = 0.001, 0.9999, 10**6
+"""Limits on what is planned for, which takes up to 40 s there; the pairs are those of 1,400 policies."""
 TRAININGS = "For groups of trainings, more trainings tell more than more episodes"
 
 
@@ -40,12 +42,13 @@ def plan_comparison(
 
     Raises `ConfigurationError`, and `ResultsError` for a folder without results of success.
     """
-    if not 0 < difference < 1:
-        raise ConfigurationError(f"the difference to detect is between 0 and 100 %, not {100 * difference:g} %")
-    if not 0 < power < 1:
-        raise ConfigurationError(f"the power is a probability between 0 and 1, such as 0.8, not {power:g}")
-    if pairs is not None and pairs < 1:
-        raise ConfigurationError(f"a comparison has at least one pair, not {pairs}")
+    if not MIN_DIFFERENCE <= difference < 1:
+        smallest = 100 * MIN_DIFFERENCE
+        raise ConfigurationError(f"the difference to detect is from {smallest:g} to 100 %, not {100 * difference:g} %")
+    if not 0 < power <= MAX_POWER:
+        raise ConfigurationError(f"the power is a probability up to {MAX_POWER}, such as 0.8, not {power:.10g}")
+    if pairs is not None and not 1 <= pairs <= MAX_PAIRS:
+        raise ConfigurationError(f"a comparison has from one to {MAX_PAIRS:,} pairs, not {pairs:,}")
     plan = _Planned({Cell(f"{100 * share:g} %"): share for share in SHARES}) if pilot is None else _planned(pilot)
     tests, num_comparisons = LEVELS * pairs if pairs else plan.tests, pairs or plan.num_comparisons
     min_share = difference if pilot is None else 0.0

@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 import threading
+import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -219,6 +220,17 @@ def endless(handler):
     try:
         while True:
             handler.wfile.write(b"10000\r\n" + bytes(0x10000) + b"\r\n")
+    except OSError:
+        handler.close_connection = True
+
+
+def trickling(handler):
+    """Answer with a byte now and then, for ever."""
+    handler.start(200, {"Transfer-Encoding": "chunked"})
+    try:
+        while True:
+            handler.wfile.write(b"1\r\n \r\n")
+            time.sleep(0.02)
     except OSError:
         handler.close_connection = True
 

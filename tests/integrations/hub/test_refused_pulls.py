@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import tempfile
+import time
 from pathlib import Path
 
 import onnx
@@ -11,11 +12,11 @@ import pytest
 from huggingface_hub import constants
 
 from armctl.core.errors import AgentFileError, ConfigurationError, HubError
-from armctl.integrations.hub import pull, push
+from armctl.integrations.hub import client, pull, push
 from armctl.integrations.hub.download import LARGEST
 from armctl.study.reproduce import card_path
 
-from .fake_hub import NAME, broken_off, contents, endless, huge, published
+from .fake_hub import NAME, broken_off, contents, endless, huge, published, trickling
 
 
 def foreign_graph():
@@ -117,6 +118,20 @@ def test_a_hub_that_is_not_there(hub, agent, monkeypatch, address):
         pull(NAME)
     with pytest.raises(HubError, match="cannot be reached"):
         push(agent, NAME)
+
+
+@pytest.mark.parametrize("where", ["agent.json", "agent.onnx", "curve.csv", "info", "create"])
+def test_a_hub_that_trickles(hub, agent, monkeypatch, where, request):
+    monkeypatch.setattr(client, "LONGEST_TRANSFER", 1.0)
+    published(hub, agent, **({where: trickling} if where in LARGEST else {}))
+    if where not in LARGEST:
+        monkeypatch.setattr(hub.RequestHandlerClass, "do_POST" if where == "create" else "do_GET", trickling)
+    else:
+        request.getfixturevalue("nothing_written")
+    started = time.monotonic()
+    with pytest.raises(HubError, match="has not finished within 1 s"):
+        push(agent, NAME) if where == "create" else pull(NAME)
+    assert time.monotonic() - started < 10
 
 
 @pytest.mark.parametrize("answer", [b"<html>", b"[]", b"{}", b'{"id": "owner/reach"}', b"null"])

@@ -1,8 +1,10 @@
 """The hub's side: its API, which names a repository can have, and what its failures are called here."""
 
 import contextlib
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, TypeVar
 
 from armctl.core.errors import ArmctlError, ConfigurationError, HubError, missing_extra
 
@@ -11,6 +13,9 @@ if TYPE_CHECKING:
 
 LONGEST_MESSAGE = 300
 """Characters of what a hub says that are shown."""
+LONGEST_TRANSFER = 600.0
+"""s of all that a download or an upload asks a hub, which may send a byte now and then for ever."""
+Result = TypeVar("Result")
 
 
 def hub_api() -> "HfApi":
@@ -38,6 +43,25 @@ def check_repository(name: str) -> None:
         raise ConfigurationError(f"{name!r} is not the name of a repository, OWNER/NAME. {error}") from error
     if "/" not in name:
         raise ConfigurationError(f"{name!r} is not the name of a repository: whose is it, OWNER/{name}?")
+
+
+def in_time(hub: str, transfer: Callable[[], Result]) -> Result:
+    """Return what a transfer returns. Raises what it raises, and `HubError` if it takes too long."""
+    future = Future[Result]()
+
+    def work() -> None:
+        try:
+            future.set_result(transfer())
+        except BaseException as error:  # it is raised below
+            future.set_exception(error)
+
+    threading.Thread(target=work, name="Transfer", daemon=True).start()
+    try:
+        return future.result(LONGEST_TRANSFER)
+    except TimeoutError as error:
+        if future.done():
+            raise
+        raise HubError(f"{hub} has not finished within {LONGEST_TRANSFER:g} s: given up") from error
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from armctl.agents import CARD, GRAPH, OnnxPolicy, read_agent, read_card
 from armctl.agents.graph import LARGEST_FILE
 from armctl.core.errors import AgentFileError, ConfigurationError, HubError, ResultsError
 from armctl.core.files import LARGEST_TEXT, file_checksum, one_writer, write_atomically
-from armctl.integrations.hub.client import check_repository, hub_api, hub_errors
+from armctl.integrations.hub.client import check_repository, hub_api, hub_errors, in_time
 from armctl.integrations.hub.model_card import folder_of
 from armctl.study.curves import CURVE, read_curve
 
@@ -42,9 +42,9 @@ def pull(name: str, out: Path | None = None, *, overwrite: bool = False) -> Path
         raise ConfigurationError(f"{name!r} names no revision after the @, such as {repository}@main")
     folder = folder_of(repository) if out is None else out
     try:
-        with tempfile.TemporaryDirectory(prefix="armctl-") as temporary:
+        with tempfile.TemporaryDirectory(prefix="armctl-", ignore_cleanup_errors=True) as temporary:
             staging = Path(temporary)
-            _download(api, name, repository, revision or None, staging)
+            in_time(api.endpoint, lambda: _download(api, name, repository, revision or None, staging))
             with _refused(staging, name):
                 OnnxPolicy(staging / GRAPH, read_agent(staging / CARD))
                 if (staging / CURVE).exists():

@@ -1,15 +1,20 @@
 """Uploads an agent: its graph, its card, its learning curve, and a model card that is made of them."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from armctl import __version__
 from armctl.agents import CARD, GRAPH, OnnxPolicy, read_agent
 from armctl.core.errors import AgentFileError, ConfigurationError
-from armctl.integrations.hub.client import check_repository, hub_api, hub_errors
+from armctl.integrations.hub.client import check_repository, hub_api, hub_errors, in_time
 from armctl.integrations.hub.model_card import model_card
 from armctl.policies import agent_cards
 from armctl.study.curves import CURVE, curve_path, read_curve
 from armctl.study.reproduce import card_path
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
 
 MODEL_CARD = "README.md"
 
@@ -32,8 +37,6 @@ def push(
     private agent would become public, and `HubError`.
     """
     api = hub_api()
-    from huggingface_hub import CommitOperationAdd, CommitOperationDelete
-
     check_repository(repository)
     path = _card_of(agent)
     card, graph, curve = read_agent(path), path.with_suffix(".onnx"), curve_path(path)
@@ -43,6 +46,14 @@ def push(
         read_curve(curve)
         files[CURVE] = curve
     files[MODEL_CARD] = model_card(card, repository, licence).encode()
+    default = f"{card.name}, by armctl {__version__}"
+    return in_time(api.endpoint, lambda: _commit(api, repository, files, private, message or default))
+
+
+def _commit(api: "HfApi", repository: str, files: Mapping[str, Path | bytes], private: bool, message: str) -> str:
+    """Upload files as one commit, and return the repository's address."""
+    from huggingface_hub import CommitOperationAdd, CommitOperationDelete
+
     with hub_errors(api, repository):
         address = api.create_repo(repository, private=private or None, exist_ok=True)
         if private and not api.model_info(repository, expand=["private"]).private:
@@ -52,9 +63,7 @@ def push(
         ]
         if CURVE not in files and api.file_exists(repository, CURVE):
             operations.append(CommitOperationDelete(CURVE))  # it is of an earlier agent
-        api.create_commit(
-            repository, operations, commit_message=message or f"{card.name}, by armctl {__version__}", num_threads=1
-        )
+        api.create_commit(repository, operations, commit_message=message, num_threads=1)
     return str(address)
 
 
