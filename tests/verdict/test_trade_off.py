@@ -55,6 +55,21 @@ def test_the_front_is_what_nobody_beats():
         assert times == sorted(times)
 
 
+def test_random_actions_are_no_part_of_the_front_but_alone():
+    cheap, good = (
+        Point("random", Estimate(0.02, None, None), 0.01, 0.02),
+        Point("ik", Estimate(1.0, None, None), 1.0, 2.0),
+    )
+    assert pareto_front([cheap, good]) == [good]
+    assert pareto_front([cheap]) == [cheap]
+
+
+def test_a_dot_is_at_the_median_of_a_control_step_with_its_part_of_the_planning():
+    fast = policy("a", 0.5, ms=0.1, reset_ms=None)
+    planner = policy("b", 0.5, ms=0.1, reset_ms=300.0, length=Estimate(150.0, None, None))
+    assert [one.decision_ms for one in points([fast, planner])] == [0.1, pytest.approx(2.1)]
+
+
 def test_times_that_were_taken_differently_have_no_points():
     alike = [policy("a", 0.5), policy("b", 0.6, ms=2.0)]
     assert [(one.label, one.decision_ms, one.slow_ms) for one in points(alike)] == [("a", 1.0, 2.0), ("b", 2.0, 4.0)]

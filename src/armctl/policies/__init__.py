@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         read_configuration,
     )
     from armctl.policies.find import (
+        UNSKILLED,
         declared_sees,
         describe_policy,
         make_policy,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from armctl.policies.worlds import WorldsByInterface
 
 __all__ = [
-    "GROUP", "SUFFIX", "Actions", "Controller", "ControllersFailed", "PerWorld", "Plans", "Policy",
+    "GROUP", "SUFFIX", "UNSKILLED", "Actions", "Controller", "ControllersFailed", "PerWorld", "Plans", "Policy",
     "PolicyConfiguration", "PolicyFactory", "WorldsByInterface", "agent_cards", "configurations", "configured",
     "declared_sees", "describe_policy", "expanded", "is_seed_group", "learners", "make_policy", "named_policies",
     "policy_name", "policy_names", "privileges", "read_configuration", "sees", "training_card",

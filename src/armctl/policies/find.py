@@ -22,6 +22,9 @@ from armctl.policies.policy import Policy
 from armctl.policies.privilege import declared
 from armctl.policies.trainings import GROUP, agent_cards, training_card
 
+UNSKILLED = {"random"}
+"""Policies that are only a lower bound: no part of a suite unless a task has no others, nor of a Pareto front."""
+
 
 def policy_names() -> list[str]:
     """Return the names of all installed policies."""

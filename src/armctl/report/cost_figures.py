@@ -13,6 +13,8 @@ from armctl.verdict.trade_off import BreakEven, Point, pareto_front
 
 MARGIN = {"range": [-0.05, 1.05]}
 """Room for dots at 0 and 100 %."""
+MAX_DECADES = 1.5
+"""Width of a logarithmic axis on which labels at 1, 2 and 5 do not overlap on a phone."""
 
 
 def training_cost(
@@ -49,7 +51,7 @@ def training_cost(
                 marker={"symbol": "circle-open", "size": 20, "line": {"width": 2.5}, "color": colour},
             )  # fmt: skip
     low, high = (math.log10(end) for end in span)
-    x = {"type": "log", "range": [low, high], "tickformat": "~s", "dtick": 1 if high - low > 1 else "D2"}
+    x = {"type": "log", "range": [low, high], "tickformat": "~s", "dtick": 1 if high - low > MAX_DECADES else "D2"}
     return framed(figure, "decisions in simulation, for training", "success", x=x, y=SHARE_AXIS | MARGIN)
 
 

@@ -8,11 +8,8 @@ from armctl.agents import read_card
 from armctl.core.errors import ArmctlError
 from armctl.core.registration import bare_id
 from armctl.envs import task_of
-from armctl.policies import WorldsByInterface, agent_cards, make_policy, policy_names
+from armctl.policies import UNSKILLED, WorldsByInterface, agent_cards, make_policy, policy_names
 from armctl.study.levels import sweep_levels
-
-UNSKILLED = {"random"}
-"""Policies that are left out of a suite unless a task has no others."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from armctl.agents.costs import rounded
+from armctl.policies import UNSKILLED
 from armctl.stats.intervals import Estimate
 from armctl.verdict.summary import PolicySummary
 
@@ -41,9 +42,13 @@ def points(policies: Sequence[PolicySummary]) -> list[Point]:
 
 
 def pareto_front(candidates: Sequence[Point]) -> list[Point]:
-    """Return the points that no other one dominates, as fast and better, or as good and faster; the fastest first."""
+    """Return the points that no other one dominates, as fast and better, or as good and faster; the fastest first.
+
+    `UNSKILLED` policies, which are fast at nothing, are no part of it, unless there are no others.
+    """
     front: list[Point] = []
-    for point in sorted(candidates, key=lambda point: (point.decision_ms, -point.score.value)):
+    skilled = [point for point in candidates if point.label not in UNSKILLED] or candidates
+    for point in sorted(skilled, key=lambda point: (point.decision_ms, -point.score.value)):
         if not front or point.score.value > front[-1].score.value:
             front.append(point)
     return front
