@@ -13,7 +13,8 @@ from gymnasium import spaces
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.core.errors import ConfigurationError, EnvironmentFailed
+from armctl.core.errors import ConfigurationError, EnvironmentFailed, ResultsError
+from armctl.datasets.collect import collect
 from armctl.envs import foreign_values, make_worlds
 from armctl.rollout.loop import evaluate
 from armctl.study import compare
@@ -214,6 +215,33 @@ def test_an_observation_is_a_copy():
     first, _ = worlds.reset(seed=0)
     worlds.step([[0.0]])
     assert first[0, 0] == 0
+
+
+BOXES = spaces.Dict(depth=spaces.Box(0, np.inf, (4,), np.float32), at=spaces.Box(-9, 9, (2,), np.float32))
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 0.0])
+def test_observations_that_are_not_finite_reach_policies_with_a_remark_and_no_dataset(number, tmp_path):
+    def observe(env):
+        return {"depth": np.array([1, number, 0, 2], np.float32), "at": np.zeros(2, np.float32)}
+
+    env, is_finite = changed(observation_space=BOXES, observe=observe), bool(np.isfinite(number))
+    seen = []
+
+    def act(observation):
+        seen.append(observation["depth"][1])
+        return [0.0]
+
+    notes = compare({"act": act}, env, episodes=2).notes
+    assert np.array_equal(seen[0], np.float32(number), equal_nan=True)
+    assert sum("are not finite (NaN or infinite)" in note for note in notes) == (not is_finite)
+    for table_format in ("minari", "lerobot"):
+        out = tmp_path / table_format
+        if is_finite:
+            assert collect(act, env, episodes=2, out=out, format=table_format).episodes == 2
+            continue
+        with pytest.raises(ResultsError, match=r"observations/depth of episode 0 has numbers that are not finite"):
+            collect(act, env, episodes=2, out=out, format=table_format)
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,12 @@ class DatasetRecorder(Recorder):
         if isinstance(result, FailedEpisode):
             self.failure = self.failure or failure_of(result)
             return False
+        for name, values in parts_of(result.recording.observations).items():
+            if values.dtype.kind == "f" and not np.isfinite(values).all():
+                raise ResultsError(
+                    f"{name} of episode {result.episode} has numbers that are not finite, which no dataset holds: "
+                    "replace them by a wrapper of the environment (gymnasium.ObservationWrapper)"
+                )
         try:
             self._path(result.episode).parent.mkdir(exist_ok=True)
             _write(self._path(result.episode), result.recording)

@@ -36,11 +36,11 @@ def _has_camera(task: Disturbable) -> bool:
     return isinstance(space, gymnasium.spaces.Dict) and "image" in space.spaces
 
 
-def _observes_numbers(task: Disturbable) -> bool:
+def _observes_real_numbers(task: Disturbable) -> bool:
+    """Return True if noise reaches all that is observed: whole numbers, such as 8-bit pictures, have none."""
     space = task.observation_space
     parts = [*space.spaces.values()] if isinstance(space, gymnasium.spaces.Dict) else [space]
-    numbers = [part for part in parts if isinstance(part, gymnasium.spaces.Box)]
-    return len(numbers) == len(parts) and any(part.dtype.kind == "f" for part in numbers if part.dtype is not None)
+    return all(isinstance(part, gymnasium.spaces.Box) and np.issubdtype(part.dtype, np.floating) for part in parts)
 
 
 def _has_physics(task: Disturbable) -> bool:
@@ -58,7 +58,7 @@ GENERIC: dict[str, DisturbanceSpec] = {
         "units of each number",
         (0, 0.01, 0.02, 0.05, 0.1),
         1e3,
-        applies=_observes_numbers,
+        applies=_observes_real_numbers,
     ),
     "delay": DisturbanceSpec(
         Delay, "late actions", "control steps", (0, 1, 2, 4, 8), 100, whole=True, applies=_acts_by_numbers
@@ -86,11 +86,11 @@ ARM: dict[str, DisturbanceSpec] = {
 ROVER: dict[str, DisturbanceSpec] = {
     "noise": DisturbanceSpec(
         Noise, "sensor noise, standard deviation", "m, m/s, rad/s", (0, 0.05, 0.1, 0.2, 0.5), 10,
-        applies=_observes_numbers,
+        applies=_observes_real_numbers,
     ),
     "noise_on_state": DisturbanceSpec(
         StateNoise, "the same, also on the true state for policies that see it", "m, m/s, rad/s",
-        (0, 0.05, 0.1, 0.2, 0.5), 10, applies=_observes_numbers,
+        (0, 0.05, 0.1, 0.2, 0.5), 10, applies=_observes_real_numbers,
     ),
     "delay": DisturbanceSpec(Delay, "late actions", "control steps of 100 ms", (0, 1, 2, 3, 5), 100, whole=True),
     "payload": DisturbanceSpec(

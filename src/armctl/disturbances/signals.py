@@ -16,8 +16,8 @@ PUSH_INTERVAL = 1.0
 class Noise(Disturbance):
     """Adds white Gaussian noise of standard deviation `level` to every observed number, in the number's own unit.
 
-    Numbers that are exactly 0 stand for absent objects, and are left as they are; so are integer images. The result is
-    clipped to the observation space.
+    Numbers that are exactly 0 stand for absent objects, and are left as they are. The result is clipped to the
+    observation space. It applies only where all observed arrays are of floating-point numbers.
     """
 
     per_episode = True
@@ -26,8 +26,7 @@ class Noise(Disturbance):
         super().__init__(task, level)
         observation = task.observe()
         arrays = observation if isinstance(observation, dict) else {"": observation}
-        numbers = {name: values for name, values in arrays.items() if values.dtype.kind == "f"}
-        self._noise = {name: np.zeros(values.shape, dtype=np.float32) for name, values in numbers.items()}
+        self._noise = {name: np.zeros(values.shape, dtype=np.float32) for name, values in arrays.items()}
 
     def begin(self, ids: NDArray[np.int32]) -> None:
         """Sample the noise of the first observation."""
@@ -48,16 +47,13 @@ class Noise(Disturbance):
         space: Any = self.task.observation_space
         if isinstance(observations, dict):
             return {
-                name: self._noisy(values, self._noise.get(name), space[name], ids)
-                for name, values in observations.items()
+                name: self._noisy(values, self._noise[name], space[name], ids) for name, values in observations.items()
             }
-        return self._noisy(observations, self._noise.get(""), space, ids)
+        return self._noisy(observations, self._noise[""], space, ids)
 
     def _noisy(
-        self, values: NDArray[Any], noise: NDArray[np.float32] | None, space: Any, ids: NDArray[np.int32] | slice
+        self, values: NDArray[Any], noise: NDArray[np.float32], space: Any, ids: NDArray[np.int32] | slice
     ) -> NDArray[Any]:
-        if noise is None:
-            return values
         noise = noise[ids]
         noise = self.levels[ids].astype(np.float32).reshape(-1, *[1] * (noise.ndim - 1)) * noise
         return np.where(values == 0, values, np.clip(values + noise, space.low, space.high))

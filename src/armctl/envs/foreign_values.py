@@ -93,6 +93,13 @@ def observation(value: Any, space: spaces.Space[Any], name: str = "its observati
     return copy.deepcopy(value)
 
 
+def is_finite(value: Any) -> bool:
+    """Return whether all numbers of an `observation` are finite."""
+    if isinstance(value, (Mapping, tuple)):
+        return all(map(is_finite, value.values() if isinstance(value, Mapping) else value))
+    return not isinstance(value, np.ndarray) or value.dtype.kind != "f" or bool(np.isfinite(value).all())
+
+
 def picture(value: Any, env: Any) -> NDArray[np.uint8]:
     """Return a picture (height, width, 3) of an environment: a channel for transparency is left out."""
     array: NDArray[Any] = value if isinstance(value, np.ndarray) else np.empty(0)

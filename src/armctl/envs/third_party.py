@@ -103,6 +103,8 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         self._returns = np.zeros(num_envs)
         self._had_success = np.zeros(num_envs, dtype=bool)
         """(n,) whether a step of the episode has told of a success."""
+        self._is_finite = True
+        """False once an observation had a number that is not finite."""
         _check_reset(first.unwrapped)
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
@@ -128,7 +130,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 rewards[i] = foreign_values.number(reward, "the reward")
                 terminated[i] = foreign_values.flag(is_terminated, "terminated")
                 truncated[i] = foreign_values.flag(is_truncated, "truncated")
-                self.task.observations[i] = foreign_values.observation(observed, self.single_observation_space)
+                self._take(int(i), observed)
                 for name, value in foreign_values.reward_terms(info).items():
                     terms.setdefault(name, np.zeros(n))[i] = value
             self._steps[i] += 1
@@ -171,7 +173,17 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             with self._wrap_errors(int(i)):
                 world = self.worlds[i]
                 start = foreign_values.parts(world.reset(seed=seed), foreign_values.RESET, "reset", world.unwrapped)
-                self.task.observations[i] = foreign_values.observation(start[0], self.single_observation_space)
+                self._take(int(i), start[0])
+
+    def _take(self, i: int, observed: Any) -> None:
+        """Take over a copy of a world's observation, with a remark if it has numbers that are not finite."""
+        self.task.observations[i] = foreign_values.observation(observed, self.single_observation_space)
+        if not self._is_finite or foreign_values.is_finite(self.task.observations[i]):
+            return
+        self._is_finite = False
+        self.remarks[
+            f"Some observations of {self._name} are not finite (NaN or infinite): policies get them as they are."
+        ] = None
 
     def _observe(self) -> Observations:
         return self._disturbed_observations(self.task.observe())
