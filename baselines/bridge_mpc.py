@@ -17,7 +17,7 @@ from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options
 from armctl.envs import TaskVectorEnv
-from armctl.policies import sees
+from armctl.policies import made_for, sees
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
 from armctl.scene import BridgeMap
 from armctl.tasks.bridge import CONTROL_PERIOD
@@ -33,6 +33,7 @@ REPLAN_DISTANCE = 1.0
 """m: distance from the path at which a new one is planned."""
 
 
+@made_for("armctl/BridgeCross*", controls="rover")
 @sees("state", family="MPC")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""

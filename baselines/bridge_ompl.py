@@ -13,7 +13,7 @@ from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path
 from armctl.control import RegulatedPurePursuit
 from armctl.core.arrays import Array
 from armctl.envs import TaskVectorEnv
-from armctl.policies import sees
+from armctl.policies import made_for, sees
 from armctl.robots.rover import RADIUS
 from armctl.scene import BridgeMap
 from armctl.tasks.bridge import CONTROL_PERIOD
@@ -30,6 +30,7 @@ REPLAN_DISTANCE = 0.4
 """m: distance from the path at which a new one is planned."""
 
 
+@made_for("armctl/BridgeCross*", controls="rover")
 @sees("state", family="OMPL")
 def make(env: TaskVectorEnv) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""

@@ -16,7 +16,7 @@ from armctl.core.arrays import Array
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
-from armctl.policies import PerWorld, sees
+from armctl.policies import PerWorld, made_for, sees
 from armctl.robot_description.joint_profiles import towards
 from armctl.tasks import OBSERVATION, ReachMovingOptions, ReachOptions
 from armctl.tasks.reach import CONTROL_PERIOD
@@ -36,6 +36,7 @@ REPLAN_STEPS = 5
 """Control steps after the planned arrival until it plans again."""
 
 
+@made_for("armctl/ArmReach*", controls="arms: not torque")
 @sees("model", family="IK")
 def make(env: ModelInterface) -> PerWorld:
     """Pinocchio IK: the minimum-time collision-free configuration that reaches the target."""

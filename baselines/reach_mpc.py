@@ -21,7 +21,7 @@ from armctl.core.arrays import Array
 from armctl.core.options import changed_options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ReachabilityMap
-from armctl.policies import PerWorld, sees
+from armctl.policies import PerWorld, made_for, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
 
@@ -39,6 +39,7 @@ WITHOUT_BOXES = ReachMpcOptions(margin=0.01, influence_distance=0.06)
 """Nearer to the floor and to itself than an arm goes to boxes."""
 
 
+@made_for("armctl/ArmReach*", controls="arms: position")
 @sees("model", family="MPC")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""

@@ -16,7 +16,7 @@ from armctl.core.arrays import Array
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner, ArmPlannerOptions
-from armctl.policies import PerWorld, sees
+from armctl.policies import PerWorld, made_for, sees
 from armctl.scene import Boxes
 from armctl.tasks import ReachObstaclesOptions
 from armctl.tasks.reach import CONTROL_PERIOD, read_boxes
@@ -42,6 +42,7 @@ REPLAN_STEPS = 5
 """Control steps after a plan until the next; none while there are clearances left."""
 
 
+@made_for("armctl/ArmReachObstacles-v0", controls="arms: position")
 @sees("model", family="OMPL")
 def make(env: ModelInterface) -> PerWorld:
     """OMPL path around the obstacles, towards its farthest point in sight of the observed joints."""

@@ -11,7 +11,8 @@ from typing import Annotated
 
 import typer
 
-from armctl.robot_description.arm import BUILTIN_ARMS, robot_data
+from armctl.robot_description import BUILTIN_ARMS
+from armctl.robot_description.arm import robot_data
 from armctl.rollout import evaluate
 
 OBSTACLES = "armctl/ArmReachObstacles-v0"

@@ -12,9 +12,8 @@ from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.core.registration import environment_names, installed
 from armctl.envs import make_worlds
 from armctl.policies import Policy, make_policy, policy_names
-from armctl.policies.trainings import card_of
+from armctl.policies.trainings import card_of, card_path
 from armctl.study.line_up import default_policies
-from armctl.study.reproduce import card_path
 
 from .holding_still import HoldsStill
 

@@ -12,8 +12,9 @@ import pytest
 import armctl as armctl_package
 from armctl.core.errors import ConfigurationError
 from armctl.core.registration import check_named
+from armctl.policies.trainings import card_path
 from armctl.study import compare
-from armctl.study.reproduce import card_path, reproduce
+from armctl.study.reproduce import reproduce
 from armctl.training.learners import load_recipe
 
 from .command_line import armctl, program

@@ -24,7 +24,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, options
 from armctl.envs import Sees, TaskVectorEnv
 from armctl.kernels import planar
-from armctl.policies import make_policy, sees
+from armctl.policies import made_for, make_policy, sees
 from armctl.policies.state_observing import state_observing_env
 from armctl.scene.pedestrians import turned_back
 from armctl.tasks import BridgeTask
@@ -39,6 +39,7 @@ TUNING = TuningCost(trials=3)
 """Trials of the options, as `rl/trials.csv` has them."""
 
 
+@made_for("armctl/BridgeCrossMoving-v0", controls="rover")
 @sees("state", family="imagination")
 def make(env: TaskVectorEnv) -> "LookaheadPolicy":
     """`bridge_moving_state_ppo`, which looks ahead: where it would touch something, it tries other commands first."""

@@ -20,13 +20,14 @@ from armctl.core.options import Count, NonNegative, options
 from armctl.envs import ModelInterface, Sees
 from armctl.kinematics import ArmModel, ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import ARRIVED, MOVING
-from armctl.policies import make_policy, sees
+from armctl.policies import made_for, make_policy, sees
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import CONTROL_PERIOD, observation_slices
 from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
 
 
+@made_for("armctl/ArmReachObstacles-v0", controls="ur5: position")
 @sees("model", family="imagination")
 def make(env: ModelInterface) -> "ShootingPolicy":
     """`obstacles_plan_bc`, which plays its episodes in imagination first, by kinematics, and executes the best."""

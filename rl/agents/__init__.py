@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import OnnxPolicy, load_agent
-from armctl.envs import Sees
-from armctl.policies import sees
+from armctl.envs.sees import Sees
+from armctl.policies.declare import sees
 
 AGENTS = Path(__file__).parent
 

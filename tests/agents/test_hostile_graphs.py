@@ -13,7 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 from armctl.agents import OnnxPolicy, graph, read_card, sha256
 from armctl.agents.graph import AgentGraph
 from armctl.core.errors import AgentFileError
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 
 from ..command_line import armctl
 from .test_graph import dividing, identity, model_of, saved

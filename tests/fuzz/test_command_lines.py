@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from armctl.core.console import CONTROLS
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 
 from ..command_line import armctl
 from .child import Child

@@ -18,9 +18,9 @@ from armctl.agents import sha256
 from armctl.agents.graph import OPERATORS
 from armctl.episodes.stored import STORE
 from armctl.episodes.table import TYPES
+from armctl.policies.trainings import card_path
 from armctl.study import compare, suite, sweep
 from armctl.study.line_up import SuiteSize
-from armctl.study.reproduce import card_path
 
 from ..forgery import change_record, rewrite
 from ..stores import read_cell

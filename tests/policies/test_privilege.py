@@ -10,7 +10,7 @@ import armctl
 from armctl.core.errors import ConfigurationError
 from armctl.envs import INTERFACES, SEES, make_worlds
 from armctl.policies import PerWorld, make_policy, policy_names, privileges
-from armctl.policies.find import declared_sees
+from armctl.policies.names import declared_sees
 
 from ..holding_still import Still
 

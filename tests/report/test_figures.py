@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from armctl.policies.trainings import card_path
 from armctl.report import colours, style, suite_figures, write_report
 from armctl.report.profile import profile_start
 from armctl.study import compare
-from armctl.study.reproduce import card_path
 
 from .pages import plot_of, plots_of, text_of
 

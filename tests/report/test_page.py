@@ -9,9 +9,9 @@ import pytest
 
 from armctl.agents import read_card
 from armctl.policies import sees
+from armctl.policies.trainings import card_path
 from armctl.report import write_report
 from armctl.study import compare
-from armctl.study.reproduce import card_path
 
 from ..command_line import armctl
 from ..forgery import forge

@@ -12,9 +12,9 @@ from armctl.agents import read_card
 from armctl.core.errors import ResultsError
 from armctl.core.options import option_value
 from armctl.episodes.stored import STORE
+from armctl.policies.trainings import card_path
 from armctl.report import write_report
 from armctl.study import compare, sweep
-from armctl.study.reproduce import card_path
 from armctl.study.results import read_comparison
 
 from ..forgery import change_facts, change_record, rewrite

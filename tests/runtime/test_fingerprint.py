@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from armctl.core.registration import installed
-from armctl.policies.trainings import GROUP
+from armctl.policies.names import GROUP
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
 from armctl.runtime.own_code import in_plugin
 

@@ -15,7 +15,7 @@ from armctl.datasets.collect import collect
 from armctl.envs import make_worlds, task_of
 from armctl.episodes.failures import PolicyDisqualified
 from armctl.policies import WorldsByInterface, make_policy
-from armctl.policies.find import declared_sees
+from armctl.policies.names import declared_sees
 from armctl.report import write_report
 from armctl.rollout.loop import build_policy, rollouts
 from armctl.runtime.state_guard import StateGuard

@@ -11,9 +11,9 @@ import armctl
 from armctl.agents import read_card
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.policies import expanded, policy_names, training_card
+from armctl.policies.trainings import card_path
 from armctl.report import write_report
 from armctl.stats.trainings import difference_over_trainings, mean_over_trainings
-from armctl.study.reproduce import card_path
 from armctl.study.results import read_comparison
 from armctl.study.sample_size import plan_comparison
 from armctl.verdict.tables import Remark

@@ -11,9 +11,10 @@ from typer.testing import CliRunner
 from armctl.agents import read_card
 from armctl.cli import app
 from armctl.core.errors import AgentFileError, ConfigurationError
+from armctl.policies.trainings import card_path
 from armctl.report.reproduction import reproduction_document
 from armctl.rollout import evaluate
-from armctl.study.reproduce import Reproduction, card_path, evaluation_of, reproduce
+from armctl.study.reproduce import Reproduction, evaluation_of, reproduce
 
 
 @pytest.fixture

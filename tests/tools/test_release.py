@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from armctl.agents import read_card
 from armctl.core import seeds
 from armctl.core.seeds import TEST_SEED, VALIDATION_SEED
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 from armctl.tasks.reach.layout_pool import POOL_FILE, read_pool, write_pool
 from armctl.training.trials import read_trials
 

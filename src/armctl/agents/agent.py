@@ -8,7 +8,7 @@ import os.path
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -18,8 +18,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from armctl.agents.costs import Count, Seconds, TrainingCost, TuningCost, total_cost, total_tuning
 from armctl.core.errors import AgentFileError
 from armctl.core.files import FORMAT, LARGEST_TEXT, bounded_bytes, check_format, file_checksum
-from armctl.envs import EpisodeVectorEnv, Interface
-from armctl.tasks import Observations
+from armctl.envs import Interface
+
+if TYPE_CHECKING:
+    from armctl.envs import EpisodeVectorEnv
+    from armctl.tasks import Observations
 
 FILES = (".onnx", ".json")
 """Suffixes of an agent's graph and card."""
@@ -224,7 +227,7 @@ class OnnxPolicy:
         for remembered in self._memory.values():
             remembered[ids] = 0.0
 
-    def act(self, observations: Observations) -> NDArray[Any]:
+    def act(self, observations: "Observations") -> NDArray[Any]:
         """Return actions (n, ...) for observations (n, ...). A world's action does not depend on other worlds."""
         arrays = observations if isinstance(observations, dict) else {INPUT: observations}
         # an environment may observe in another precision than its space says
@@ -241,7 +244,7 @@ class OnnxPolicy:
         return {name: np.zeros((num_envs, *shape), dtype=np.float32) for name, shape in self.card.memory.items()}
 
 
-def load_agent(path: Path, worlds: EpisodeVectorEnv | Interface) -> OnnxPolicy:
+def load_agent(path: Path, worlds: "EpisodeVectorEnv | Interface") -> OnnxPolicy:
     """Load an agent by the path of its card or graph, which are in the same folder, for the worlds of an environment.
 
     Raises `AgentFileError` if a file is missing or corrupt, or if the agent was made for another environment.
@@ -290,7 +293,7 @@ def sha256(path: Path, largest: float = math.inf) -> str:
         raise AgentFileError(str(error)) from error
 
 
-def _check_made_for(card: AgentCard, worlds: EpisodeVectorEnv | Interface) -> None:
+def _check_made_for(card: AgentCard, worlds: "EpisodeVectorEnv | Interface") -> None:
     trained = (card.observation_shape, card.action_shape)
     spaces = (shapes(worlds.single_observation_space), shapes(worlds.single_action_space))
     if trained != spaces:

@@ -2,106 +2,143 @@
 
 import inspect
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armctl.cli.app import app
 from armctl.cli.completion import environments
+from armctl.cli.options import checked_env
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import gymnasium
+    from rich.console import RenderableType
     from rich.table import Table
     from rich.text import Text
+
+    from armctl.envs.describe import OptionDescription
+    from armctl.policies.catalogue import ListedPolicy
 
 
 @app.command("list")
 def list_(
     env: Annotated[
         str | None,
-        typer.Option("--env", metavar="ID", help="Show all about this environment.", autocompletion=environments),
+        typer.Option(
+            "--env",
+            metavar="ID",
+            help="Show all about this environment.",
+            autocompletion=environments,
+            callback=checked_env,
+        ),
     ] = None,
 ) -> None:
-    """List the environments, policies, arms, disturbances, learners and recipes.
+    """List the tasks with their policies: expert or agent, what each sees, and what it controls.
 
-    With `--env ID`: what an environment's observations and actions are, its options with their units and defaults, its
-    disturbances with their levels, its potentials for reward shaping, and its default line-up.
+    With `--env ID`: an environment's observations and actions with their units, the policies that fit, its options with
+    their units and defaults, its disturbances with their levels, and its potentials for reward shaping.
     """
     from armctl.report.terminal import output_console
 
-    output_console().print(_everything() if env is None else _environment(env), highlight=False)
+    console = output_console()
+    for part in list(_everything() if env is None else _environment(env)):
+        console.print(part, highlight=False)
 
 
-def _everything() -> "Table":
+def _everything() -> Iterable["RenderableType"]:
     from armctl.core.registration import environment_names
-    from armctl.envs import SEES, task_of
-    from armctl.policies import declared_sees, describe_policy, policy_names
-    from armctl.robot_description import BUILTIN_ARMS
+    from armctl.envs.find import find_spec
+    from armctl.policies.catalogue import listed_policies, policies_of, task_values
+    from armctl.robot_description.builtin import BUILTIN_ARMS
     from armctl.training.learners import learner_names, load_recipe, recipe_names
 
-    table = _grid()
-    for kind, names in (("environments", environment_names()), ("arms", BUILTIN_ARMS), ("learners", learner_names())):
-        table.add_row(_bold(kind), "  ".join(names))
-    policies = ((name, f"{describe_policy(name)} Sees: {SEES[declared_sees(name)]}.") for name in policy_names())
-    _add_rows(table, "policies", policies)
-    recipes = []
-    for recipe in map(load_recipe, recipe_names()):
-        guidance = " ".join(f"{name} {value}" for name in ("shaping", "teacher") if (value := getattr(recipe, name)))
-        recipes.append((recipe.name, f"{recipe.learner} in {recipe.env} {guidance}"))
-    _add_rows(table, "recipes", recipes)
-    by_specs: dict[int, tuple[Mapping[str, Any], list[str]]] = {}
+    policies, recipes = listed_policies(), [load_recipe(name) for name in recipe_names()]
     for env in environment_names():
+        spec = find_spec(env)
         try:
-            specs = task_of(env).disturbances
-        except (ConfigurationError, AttributeError) as error:
-            table.add_row("", f"{env} cannot be loaded: {error}")
+            values = task_values(spec)
+        except ConfigurationError as error:
+            yield _pair(env, f"cannot be loaded: {error}")
             continue
-        by_specs.setdefault(id(specs), (specs, []))[1].append(env)
-    for specs, envs in by_specs.values():
-        table.add_row(_bold("disturbances"), f"in {', '.join(envs)}:")
-        _add_rows(table, "", _disturbances(specs))
-    table.add_row(
-        "",
-        "A policy may also be path/to/agent.json or file.py:NAME, an environment Pendulum-v1 or file.py:NAME, "
-        "and an arm path/to/your.urdf.",
+        yield _pair(env, values.get("instruction", ""))
+        yield _policy_table(policies_of(spec, policies), values.get("default_policies", ()))
+        if names := [recipe.name for recipe in recipes if recipe.env == env]:
+            yield _grid_of([("  recipes", ", ".join(names))])
+        yield ""
+    yield "* plays in armctl compare --env ID, where no policies are named."
+    yield _grid_of(
+        [
+            ("robots", f"{', '.join(BUILTIN_ARMS)}; or the path of your arm's URDF file"),
+            ("learners", ", ".join(learner_names())),
+            ("yours", "policies: agent.json, its folder, file.py:NAME; environments: file.py:NAME"),
+            ("more", "armctl list --env ID: options, observations, actions, disturbances"),
+        ]
     )
-    table.add_row("", "`armctl list --env ID` shows an environment's options, observations and actions.")
+
+
+def _policy_table(policies: "Sequence[ListedPolicy]", line_up: Sequence[str]) -> "Table":
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
+    for heading in ("  policy", "kind", "sees", "controls"):
+        table.add_column(heading)
+    for policy in policies:
+        mark = "*" if policy.name in line_up else " "
+        table.add_row(f"{mark} {policy.name}", policy.kind, policy.sees, policy.controls)
     return table
 
 
-def _environment(env: str) -> "Table":
+def _environment(env: str) -> Iterable["RenderableType"]:
     from contextlib import closing
 
     from armctl.disturbances import available
     from armctl.envs import ThirdPartyVectorEnv, full_id, make_worlds, task_of
-    from armctl.envs.describe import describe_options
+    from armctl.envs.describe import describe_general_options, describe_options
+    from armctl.envs.find import find_spec
+    from armctl.policies.catalogue import listed_policies, policies_of
 
     kind: Any = task_of(env)
+    policies = policies_of(find_spec(env), listed_policies())
     table = _grid()
     with closing(make_worlds(env, 1)) as worlds:
         worlds.reset(seed=0)
         task: Any = worlds.task
         period = "unknown" if task.control_period is None else f"{task.control_period:g} s"
-        described = kind if not isinstance(worlds, ThirdPartyVectorEnv) else type(worlds.worlds[0].unwrapped)
-        _add_rows(table, "environment", [(full_id(env), _first_line(described))])
-        _add_rows(table, "control period", [("", period)])
+        is_foreign = isinstance(worlds, ThirdPartyVectorEnv)
+        described = type(worlds.worlds[0].unwrapped) if isinstance(worlds, ThirdPartyVectorEnv) else kind
+        table.add_row(_bold("environment"), full_id(env))
+        table.add_row("", task.instruction or _first_line(described))
+        table.add_row(_bold("control step"), period)
         _add_rows(table, "observation", _observation(worlds.single_observation_space, task))
-        _add_rows(table, "action", [("", _action(worlds.single_action_space))])
+        _add_rows(table, "action", [("", _action(worlds.single_action_space, task))])
         if hasattr(kind, "outcomes"):
-            wins = [outcome.label + (" (success)" if outcome.success else "") for outcome in kind.outcomes]
+            possible = getattr(kind, "possible_outcomes", kind.outcomes)
+            wins = [outcome.label + (" (success)" if outcome.success else "") for outcome in possible]
             table.add_row(_bold("outcomes"), ", ".join(wins))
         disturbances = _disturbances(available(kind.disturbances, task))
-    options = (
-        (f"{option.name} = {option.default}", f"{option.type}. {option.text}") for option in describe_options(env)
-    )
-    _add_rows(table, "options (--set)", options)
+    _add_rows(table, "policies", ((policy.name, policy.summary) for policy in policies))
+    table.add_row(_bold("line-up"), ", ".join(kind.default_policies))
+    _add_rows(table, "options", _options(describe_options(env)))
+    if not is_foreign:
+        _add_rows(table, "of every task", _options(describe_general_options()))
     _add_rows(table, "disturbances", disturbances)
     potentials: Mapping[str, Any] = getattr(kind, "potentials", {})
     _add_rows(table, "potentials", ((name, _first_line(potential)) for name, potential in potentials.items()))
-    table.add_row(_bold("line-up"), ", ".join(kind.default_policies))
-    return table
+    yield table
+    yield "Set an option by --set NAME=VALUE, a disturbance by --disturbance NAME=LEVELS in armctl sweep."
+
+
+def _options(described: "Iterable[OptionDescription]") -> Iterator[tuple[str, str]]:
+    return ((f"{option.name} = {option.default}", f"{option.type}. {option.text}") for option in described)
+
+
+def _pair(name: str, text: str) -> "Text":
+    from rich.text import Text
+
+    return Text.assemble((name, "bold"), "  ", text)
 
 
 def _grid() -> "Table":
@@ -109,7 +146,14 @@ def _grid() -> "Table":
 
     table = Table.grid(padding=(0, 2))
     table.add_column()
-    table.add_column(overflow="fold")
+    table.add_column()
+    return table
+
+
+def _grid_of(rows: Iterable[tuple[str, str]]) -> "Table":
+    table = _grid()
+    for heading, text in rows:
+        table.add_row(_bold(heading), text)
     return table
 
 
@@ -142,10 +186,12 @@ def _first_line(described: Any) -> str:
 def _observation(space: "gymnasium.Space[Any]", task: Any) -> list[tuple[str, str]]:
     """Return the arrays of an observation, or the parts of the one array."""
     if hasattr(space, "spaces"):
-        return _leaves(space)
+        units = getattr(task, "units", {})
+        return [(name, f"{text} {units.get(name, '')}".rstrip()) for name, text in _leaves(space)]
     parts = {name: value.shape[1:] for name, value in task.observation_parts().items()}
     if sum(map(math.prod, parts.values())) == math.prod(space.shape or ()):
-        return [(name, _size(shape)) for name, shape in parts.items()]
+        units = getattr(task, "units", {})
+        return [(name, f"{_size(shape)} {units.get(name, '')}".rstrip()) for name, shape in parts.items()]
     return [("", str(space))]
 
 
@@ -163,12 +209,15 @@ def _size(shape: tuple[int, ...]) -> str:
     return " x ".join(map(str, shape)) if shape else "1"
 
 
-def _action(space: "gymnasium.Space[Any]") -> str:
-    """Size and range of an action."""
+def _action(space: "gymnasium.Space[Any]", task: Any) -> str:
+    """Size, range and units of an action."""
+    units = getattr(task, "units", {})
+    meaning = units.get(task.interface.get("control", "action"), "")
     low, high = getattr(space, "low", None), getattr(space, "high", None)
     if low is None or high is None:
         return str(space)
     same = low.min() == low.max() and high.min() == high.max()
     ranges = zip(low.flat, high.flat, strict=True)
     bounds = f"{low.min():g} to {high.max():g}" if same else ", ".join(f"{a:.4g} to {b:.4g}" for a, b in ranges)
-    return f"{_size(space.shape or ())} numbers: {bounds}"
+    number = math.prod(space.shape or ())
+    return f"{number} number{'s' * (number != 1)}{' of ' * bool(meaning)}{meaning}: {bounds}"

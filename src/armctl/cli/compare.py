@@ -20,20 +20,24 @@ from armctl.cli.options import (
     PolicySeed,
     RealTime,
     ReturnBounds,
+    Robot,
     Seed,
     SuccessReturn,
     TableFormat,
     Workers,
     Worlds,
+    checked_env,
+    checked_policy,
+    environment_options,
     exit_if_interrupted,
     levels_of,
     make_report,
     new_folder,
-    options_of,
     print_document,
     print_tracebacks,
     progress_bar,
 )
+from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from armctl.study.plan import Plan
@@ -58,6 +62,7 @@ class TaskRequest(StudyRequest):
 
     policies: Policies = None
     env: Env = DEFAULT_ENV
+    robot: Robot = None
     env_options: EnvOptions = None
     success_return: SuccessReturn = None
     return_bounds: ReturnBounds = None
@@ -65,8 +70,27 @@ class TaskRequest(StudyRequest):
     @property
     def task_options(self) -> dict[str, Any]:
         """The options that `armctl.study.options.TaskOptions` has."""
-        options = options_of(self.env_options, success_return=self.success_return)
+        options = environment_options(self.env, self.env_options, robot=self.robot, success_return=self.success_return)
         return {"env_options": options, "return_bounds": self.return_bounds}
+
+
+def checked_baseline(name: str | None) -> str | None:
+    """Return a policy that may be there, or None."""
+    return None if name is None else checked_policy(name)
+
+
+def checked_envs(envs: list[str] | None) -> list[str] | None:
+    """Return environments that may be there, or `all`."""
+    for env in envs or []:
+        checked_env(None if env == "all" else env)
+    return envs
+
+
+def checked_points(points: float) -> float:
+    """Return a difference in success in points. Raises `ConfigurationError`."""
+    if not 0 < points < 100:
+        raise ConfigurationError(f"the margin is a difference in success between 0 and 100 points, not {points:g}")
+    return points
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,11 +107,17 @@ class CompareRequest(TaskRequest):
         typer.Option(
             metavar="POLICY",
             help="Compare all other policies with this one.",
+            callback=checked_baseline,
             show_default="the best classical against the best learned policy",
         ),
     ] = None
     margin: Annotated[
-        float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
+        float,
+        typer.Option(
+            metavar="POINTS",
+            help="Success that differs by less, in percent, counts as equivalent.",
+            callback=checked_points,
+        ),
     ] = 2.0
     real_time: RealTime = None
     slow_down: Annotated[float, typer.Option(metavar="FACTOR", help="Factor of the decision times, in real time.")] = (
@@ -107,10 +137,11 @@ def compare(request: CompareRequest) -> None:
     A policy that raises an error, or returns an invalid action, loses that episode (`error`) and plays on; the exit
     status is then 1. One that fails before its first action in each of its first 3 episodes stops.
     """
+    task_options = request.task_options  # before the imports, so that a misspelt one is told at once
     from armctl.study.plan import comparison_plan
 
     def plan(options: Any) -> "Plan":
-        options |= request.task_options | {
+        options |= task_options | {
             "baseline": request.baseline,
             "margin": request.margin / 100,
             "real_time": request.real_time,
@@ -170,6 +201,7 @@ def sweep(request: SweepRequest) -> None:
 
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
+    task_options = request.task_options  # before the imports, so that a misspelt one is told at once
     from armctl.rollout.real_time import SLOW_DOWN_NAME
     from armctl.study.plan import sweep_plan
 
@@ -177,7 +209,7 @@ def sweep(request: SweepRequest) -> None:
     levels = levels_of(arguments) if arguments else None
 
     def plan(options: Any) -> "Plan":
-        options |= request.task_options | {"real_time": request.real_time}
+        options |= task_options | {"real_time": request.real_time}
         return sweep_plan(request.policies, request.env, levels, request.episodes, request.seed, options)
 
     _play(request, request.out, plan, "{0}/sweep.csv has the curves.")
@@ -195,6 +227,7 @@ class SuiteRequest(StudyRequest):
             "`--env all --env mine.py:Maze`.",
             show_default="all",
             autocompletion=completion.environments,
+            callback=checked_envs,
         ),
     ] = None
     quick: Annotated[

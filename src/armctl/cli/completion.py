@@ -4,7 +4,11 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
 
+from typer import Context
+
+from armctl import DEFAULT_ENV
 from armctl.core.registration import environment_names, files_beside, installed
+from armctl.robot_description.builtin import BUILTIN_ARMS
 
 
 def _starting(names: Iterable[str], incomplete: str) -> list[str]:
@@ -42,6 +46,24 @@ def tunable(incomplete: str) -> list[str]:
 def trackers(incomplete: str) -> list[str]:
     """Names of experiment trackers."""
     return _starting(installed("armctl.trackers").names, incomplete)
+
+
+def robots(incomplete: str) -> list[str]:
+    """Names of robots. Shells complete the paths of files by themselves."""
+    return _starting(BUILTIN_ARMS, incomplete)
+
+
+def environment_options(context: Context, incomplete: str) -> list[str]:
+    """Options of the environment on the command line, `NAME=`, and then the values of one, if they are few."""
+    from armctl.envs.describe import describe_options  # loads the task: half a second, but only here
+
+    options = {option.name: option for option in describe_options(context.params.get("env") or DEFAULT_ENV)}
+    name, equals, _ = incomplete.partition("=")
+    if not equals:
+        return _starting((f"{option}=" for option in options), incomplete)
+    kind = options[name].type if name in options else ""
+    values = list(BUILTIN_ARMS) if name == "robot" else ["True", "False"] if kind == "bool" else kind.split(" | ")
+    return _starting((f"{name}={value}" for value in values if value.isidentifier()), incomplete)
 
 
 def disturbances(incomplete: str) -> list[str]:

@@ -7,7 +7,15 @@ import typer
 
 from armctl.cli import completion
 from armctl.cli.app import app
-from armctl.cli.options import Format, TableFormat, make_report, print_document, seed_of
+from armctl.cli.options import (
+    Format,
+    TableFormat,
+    checked_agents,
+    existing_folder,
+    make_report,
+    print_document,
+    seed_of,
+)
 from armctl.cli.standard_output import standard_output
 
 
@@ -16,7 +24,12 @@ def plan(
     detect: Annotated[float, typer.Option(metavar="POINTS", help="Difference in success to detect, in percent.")] = 2.0,
     power: Annotated[float, typer.Option(help="Power: the probability of detecting it.")] = 0.8,
     pilot: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Results of an earlier comparison, whose pairs are planned for.")
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Results of an earlier comparison, whose pairs are planned for.",
+            callback=existing_folder,
+        ),
     ] = None,
     pairs: Annotated[
         int | None,
@@ -38,7 +51,12 @@ def plan(
 @app.command()
 def report(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of the results of a comparison, a sweep or a suite.")
+        Path,
+        typer.Argument(
+            metavar="DIR",
+            help="Folder of the results of a comparison, a sweep or a suite.",
+            callback=existing_folder,
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
@@ -69,7 +87,9 @@ def report(
 
 @app.command()
 def episodes(
-    folder: Annotated[Path, typer.Argument(help="Results of a comparison, a sweep or a suite.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Results of a comparison, a sweep or a suite.", callback=existing_folder)
+    ],
     csv: Annotated[bool, typer.Option("--csv", help="Write episodes.csv and decisions.csv.")] = False,
     parquet: Annotated[
         bool, typer.Option("--parquet", help="Write episodes.parquet, small and typed; needs the extra `parquet`.")
@@ -103,7 +123,9 @@ def reproduce(
     agents: Annotated[
         list[str],
         typer.Argument(
-            help="Agents: their cards' paths, or the names of shipped ones.", autocompletion=completion.agents
+            help="Agents: their cards' paths, their folders, or the names of shipped ones.",
+            autocompletion=completion.agents,
+            callback=checked_agents,
         ),
     ],
     seed: Annotated[
@@ -131,11 +153,8 @@ def reproduce(
 
     from armctl.core.console import PlainConsole
     from armctl.report.reproduction import reproduction_document
-    from armctl.study.reproduce import card_path
     from armctl.study.reproduce import reproduce as run_again
 
-    for agent in agents:
-        card_path(agent)  # a misspelt name is told before the first agent plays
     again = []
     with standard_output(table_format):
         for agent in agents:

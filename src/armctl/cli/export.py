@@ -8,7 +8,7 @@ import typer
 
 from armctl.cli.app import verb
 from armctl.cli.learn import say, words
-from armctl.cli.options import EnvOptions, options_of
+from armctl.cli.options import EnvOptions, Robot, checked_env, environment_options
 
 
 @dataclass(frozen=True)
@@ -16,13 +16,14 @@ class ExportRequest:
     """Options of `export`."""
 
     model: Annotated[Path, typer.Argument(help="Model that Stable-Baselines3 or sb3-contrib saved: a file .zip.")]
-    env: Annotated[str, typer.Option("--env", help="Environment that the model was trained in.")]
+    env: Annotated[str, typer.Option("--env", help="Environment that the model was trained in.", callback=checked_env)]
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.onnx", help="Agent to write; its card is beside it.", show_default="the model's name"
         ),
     ] = None
+    robot: Robot = None
     env_options: EnvOptions = None
     normalisation: Annotated[
         Path | None,
@@ -66,7 +67,7 @@ def export(request: ExportRequest) -> None:
             model,
             env,
             target,
-            options_of(request.env_options),
+            environment_options(request.env, request.env_options, robot=request.robot),
             request.normalisation,
             request.algorithm,
             request.trust,

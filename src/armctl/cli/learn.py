@@ -15,7 +15,7 @@ import typer
 
 from armctl.cli import completion
 from armctl.cli.app import verb
-from armctl.cli.options import EnvOptions, On, options_of, progress_bar
+from armctl.cli.options import EnvOptions, On, Robot, checked_env, environment_options, options_of, progress_bar
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -35,9 +35,16 @@ class TrainRequest:
             autocompletion=completion.recipes,
         ),
     ]
-    env: Annotated[str | None, typer.Option("--env", help="Environment to train in.", show_default="the recipe's")] = (
-        None
-    )
+    env: Annotated[
+        str | None,
+        typer.Option(
+            "--env",
+            help="Environment to train in.",
+            show_default="the recipe's",
+            autocompletion=completion.environments,
+            callback=checked_env,
+        ),
+    ] = None
     seed: Annotated[
         str | None,
         typer.Option(
@@ -65,6 +72,7 @@ class TrainRequest:
         list[str] | None,
         typer.Option("--option", metavar="NAME=VALUE", help="Option of the learner, such as `--option gamma=0.98`."),
     ] = None
+    robot: Robot = None
     env_options: EnvOptions = None
     out: Annotated[
         Path | None,
@@ -145,7 +153,6 @@ def _of_seed(folder: Path, seed: int) -> Path:
 def _training_job(request: TrainRequest) -> "TrainingJob":
     """Return the recipe with what the command line changes."""
     from armctl.training.learners import load_recipe
-    from armctl.training.run import TrainingJob
 
     recipe = load_recipe(request.recipe, request.env, request.teacher)
     shaping = {"shaping": request.shaping, "shaping_scale": request.shaping_scale}
@@ -155,10 +162,12 @@ def _training_job(request: TrainRequest) -> "TrainingJob":
     learner_options = options_of(request.options, "--option") | (
         {} if request.steps is None else {"steps": request.steps}
     )
-    env_options = options_of(request.env_options)
+    env_options = environment_options(recipe.env, request.env_options, robot=request.robot)
     recipe = recipe.changed(
         **changes, options=recipe.options | learner_options, env_options=recipe.env_options | env_options
     )
+    from armctl.training.run import TrainingJob  # after all that can be misspelt
+
     differences = shaping | {"options": learner_options, "env_options": env_options, "teacher": request.teacher}
     return TrainingJob(recipe, differences, request.resume)
 

@@ -1,6 +1,7 @@
 """Options that several verbs share, parsers of their text, and functions that print results."""
 
 import itertools
+import os.path
 import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -12,12 +13,52 @@ import typer
 from armctl.cli import completion
 from armctl.cli.app import settings
 from armctl.cli.standard_output import document_stream
-from armctl.core.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError, no_results
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from armctl.verdict.tables import Document
+
+
+def checked_env(env: str | None) -> str | None:
+    """Return an environment that may be there: before anything is loaded, an unknown id is told."""
+    from armctl.envs.find import find_spec
+
+    if env is not None and ":" not in env:
+        find_spec(env)
+    return env
+
+
+def checked_policy(name: str) -> str:
+    """Return a policy that may be there, or the agent in a folder: an unknown name is told before it is loaded."""
+    from armctl.policies.names import check_policy_name, with_agent
+
+    name = with_agent(name)
+    check_policy_name(name)
+    return name
+
+
+def checked_policies(names: list[str] | None) -> list[str] | None:
+    """Return policies as `checked_policy` does."""
+    return None if names is None else [checked_policy(name) for name in names]
+
+
+def checked_agents(agents: list[str]) -> list[str]:
+    """Return agents that may be there: before the first plays, an unknown name is told."""
+    from armctl.policies.trainings import card_path
+
+    for agent in agents:
+        card_path(agent)
+    return agents
+
+
+def existing_folder(folder: Path | None) -> Path | None:
+    """Return a folder of results that is there. Raises `ResultsError`."""
+    if folder is not None and not os.path.isdir(folder):  # also for a name that no folder can have
+        raise no_results(folder)
+    return folder
+
 
 Env = Annotated[
     str,
@@ -25,13 +66,15 @@ Env = Annotated[
         "--env",
         help="Environment: an id (`armctl list` shows armctl's own), Gymnasium's `Pendulum-v1`, or `file.py:NAME`.",
         autocompletion=completion.environments,
+        callback=checked_env,
     ),
 ]
 PolicyName = Annotated[
     str,
     typer.Argument(
-        help="Policy: a name, an agent's file, or `file.py:NAME` of a function or class of yours.",
+        help="Policy: a name, an agent's file or folder, or `file.py:NAME` of a function or class of yours.",
         autocompletion=completion.policies,
+        callback=checked_policy,
     ),
 ]
 
@@ -61,7 +104,18 @@ EnvOptions = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Option of the environment; can be repeated: `--set robot=ur10 --set tolerance=0.02`.",
+        help="Option of the environment; can be repeated: `--set control=velocity --set tolerance=0.02`.",
+        autocompletion=completion.environment_options,
+    ),
+]
+Robot = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        metavar="NAME|FILE.urdf",
+        help="Robot: short for `--set robot=...`.",
+        show_default="the environment's",
+        autocompletion=completion.robots,
     ),
 ]
 Worlds = Annotated[
@@ -93,9 +147,11 @@ On = Annotated[
 Policies = Annotated[
     list[str] | None,
     typer.Argument(
-        help='Policies: names, agents\' files, `"NAME[*]"` for all trainings of a recipe, or `file.py:NAME` of yours.',
+        help='Policies: names, agents\' files or folders, `"NAME[*]"` for all trainings of a recipe, or '
+        "`file.py:NAME` of yours.",
         show_default="those of the environment",
         autocompletion=completion.policies,
+        callback=checked_policies,
     ),
 ]
 
@@ -257,14 +313,25 @@ def levels_of(arguments: list[str]) -> dict[str, Any]:
     return levels
 
 
-def options_of(pairs: list[str] | None, flag: str = "--set", success_return: float | None = None) -> dict[str, Any]:
-    """Options from NAME=VALUE pairs: numbers, tuples, True, False and None, or else strings."""
+def environment_options(env: str, pairs: list[str] | None, **short_forms: Any) -> dict[str, Any]:
+    """Options of an environment, of `options_of`. Their names are checked before anything is loaded."""
+    from armctl.envs.find import check_option_names
+
+    options = options_of(pairs, **short_forms)
+    check_option_names(env, options)
+    return options
+
+
+def options_of(pairs: list[str] | None, flag: str = "--set", **short_forms: Any) -> dict[str, Any]:
+    """Options from NAME=VALUE pairs, numbers, tuples, True, False and None, or else strings; and from short forms."""
     from armctl.core.options import option_value
 
-    options: dict[str, Any] = {} if success_return is None else {"success_return": success_return}
+    options = {name: value for name, value in short_forms.items() if value is not None}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not equals:
             raise ConfigurationError(f"{flag} needs NAME=VALUE, not {pair!r}")
+        if short_forms.get(name) is not None:
+            raise ConfigurationError(f"--{name.replace('_', '-')} and {flag} {pair} say the same: leave one out")
         options[name] = option_value(value)
     return options

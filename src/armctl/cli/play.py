@@ -14,9 +14,10 @@ from armctl.cli.options import (
     On,
     PolicyName,
     PolicySeed,
+    Robot,
     Seed,
     Workers,
-    options_of,
+    environment_options,
     progress_bar,
 )
 
@@ -41,6 +42,7 @@ class RunRequest:
         Path | None,
         typer.Option(metavar="FILE.rrd", help="Record everything for Rerun's viewer; needs the extra `rerun`."),
     ] = None
+    robot: Robot = None
     env_options: EnvOptions = None
     policy_seed: PolicySeed = None
 
@@ -48,6 +50,7 @@ class RunRequest:
 @verb
 def run(request: RunRequest) -> None:
     """Play episodes with one policy, and print its states, actions and rewards."""
+    env_options = environment_options(request.env, request.env_options, robot=request.robot)
     from armctl.viewer.terminal import Outputs, run_episodes
 
     log = None
@@ -61,7 +64,7 @@ def run(request: RunRequest) -> None:
         range(request.episode, request.episode + request.episodes),
         request.seed,
         steps=request.steps,
-        env_options=options_of(request.env_options),
+        env_options=env_options,
         outputs=Outputs(request.video, request.watch, log),
         policy_seed=request.policy_seed,
     )
@@ -82,6 +85,7 @@ class ViewRequest:
     ] = 0
     open_browser: Annotated[bool, typer.Option("--open/--no-open", help="Open a browser, if there is one.")] = True
     native: Annotated[bool, typer.Option("--native", help="Show it in MuJoCo's own window; needs a screen.")] = False
+    robot: Robot = None
     env_options: EnvOptions = None
     policy_seed: PolicySeed = None
 
@@ -95,13 +99,13 @@ def view(request: ViewRequest) -> None:
     page is served to this machine only, at the address that is printed, whose token lets you in; from another machine,
     use `ssh -L 8080:localhost:8080 HOST` and the same address.
     """
+    options = environment_options(request.env, request.env_options, robot=request.robot)
     from armctl.viewer.browser import Player, show_in_browser
     from armctl.viewer.stage import Stage
     from armctl.viewer.window import check_screen, show_in_window
 
     if request.native:
         check_screen()
-    options = options_of(request.env_options)
     stage = Stage(request.policy, request.env, request.seed, request.episode, options, policy_seed=request.policy_seed)
     player = Player(stage)
     try:
@@ -124,6 +128,7 @@ class CollectRequest:
     worlds: Annotated[int, typer.Option(min=1, help="Worlds stepped at once, in each worker.")] = 50
     workers: Workers = 1
     on: On = "local"
+    robot: Robot = None
     env_options: EnvOptions = None
     policy_seed: PolicySeed = None
     format: Annotated[
@@ -139,6 +144,7 @@ def collect(request: CollectRequest) -> None:
     Ctrl-C keeps the finished episodes, and the same command resumes. The same holds after a full disk or a crash. The
     dataset is the same wherever its episodes are played; workers play blocks of 4 episodes per world.
     """
+    env_options = environment_options(request.env, request.env_options, robot=request.robot)
     from armctl.core.console import PlainConsole
     from armctl.datasets.collect import collect as run_collection
     from armctl.runtime.engines import connect
@@ -148,7 +154,7 @@ def collect(request: CollectRequest) -> None:
         task = bar.add_task(policy, total=episodes)
         collection = run_collection(
             policy, request.env, episodes=episodes, out=request.out, seed=request.seed, worlds=request.worlds,
-            workers=engine, env_options=options_of(request.env_options), format=request.format,
+            workers=engine, env_options=env_options, format=request.format,
             overwrite=request.overwrite, policy_seed=request.policy_seed,
             progress=lambda finished: bar.update(task, completed=finished),
         )  # fmt: skip

@@ -7,6 +7,12 @@ import typer
 
 from armctl.cli import completion
 from armctl.cli.app import app
+from armctl.cli.options import checked_agents
+
+
+def checked_agent(agent: str) -> str:
+    """Return an agent that may be there: before anything is loaded, an unknown name is told."""
+    return checked_agents([agent])[0]
 
 
 @app.command()
@@ -16,6 +22,7 @@ def push(
         typer.Argument(
             help="Agent: a name, the path of its card or graph, or a training's folder.",
             autocompletion=completion.agents,
+            callback=checked_agent,
         ),
     ],
     repository: Annotated[str, typer.Argument(metavar="OWNER/NAME", help="Repository; it is made if need be.")],

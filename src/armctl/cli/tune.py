@@ -14,6 +14,14 @@ if TYPE_CHECKING:
     from armctl.tuning import TuningOutcome
 
 
+def checked_candidate(name: str) -> str:
+    """Return a name of something that can be tuned: before anything is loaded, an unknown one is told."""
+    from armctl.tuning.names import check_tunable
+
+    check_tunable(name)
+    return name
+
+
 @dataclass(frozen=True)
 class TuneRequest:
     """Options of `tune`."""
@@ -23,6 +31,7 @@ class TuneRequest:
         typer.Argument(
             help="Recipe or expert with a search space, such as `reach_sac` or `reach_mpc`, or path/to/file.toml.",
             autocompletion=completion.tunable,
+            callback=checked_candidate,
         ),
     ]
     trials: Annotated[

@@ -1,6 +1,7 @@
 """The errors that armctl raises, and the wording they share."""
 
 import inspect
+import shlex
 import sysconfig
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
@@ -59,6 +60,11 @@ class HubError(ArmctlError):
 
 class ResultsError(ArmctlError):
     """A results folder that cannot be written, or that holds results already."""
+
+
+def no_results(folder: object) -> ResultsError:
+    """Return an error for a results folder that is not there."""
+    return ResultsError(f"there is no folder {folder}: armctl compare --out {shlex.quote(str(folder))} makes one")
 
 
 @contextmanager

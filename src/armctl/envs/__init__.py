@@ -9,19 +9,19 @@ from armctl.core.lazy import on_first_use
 
 if TYPE_CHECKING:
     from armctl.envs.episodes import ERROR, EpisodeVectorEnv
+    from armctl.envs.find import RETURN_BOUNDS, check_from_file, find_spec, full_id
     from armctl.envs.interface import (
         INTERFACES,
-        SEES,
         Interface,
         MapInterface,
         ModelInterface,
-        Sees,
         how_to_declare,
         interface_of,
     )
-    from armctl.envs.make import RETURN_BOUNDS, check_from_file, find_spec, full_id, make_worlds, task_of
+    from armctl.envs.make import make_worlds, task_of
     from armctl.envs.observations import batch_of_one, one_of
     from armctl.envs.policy_seed import PolicyStreams, chosen_policy_seed, new_policy_seed
+    from armctl.envs.sees import SEES, Sees
     from armctl.envs.single import TaskEnv
     from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
     from armctl.envs.vector import Observer, TaskVectorEnv

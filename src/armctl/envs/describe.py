@@ -18,7 +18,9 @@ from typing import Any
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from armctl.core.registration import load_task
-from armctl.envs.make import RESERVED, find_spec, is_task
+from armctl.envs.environment_options import EnvironmentOptions
+from armctl.envs.find import find_spec, is_task
+from armctl.envs.make import RESERVED
 
 LIMIT = "Control steps until an episode is truncated."
 BOUNDS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}"}
@@ -45,6 +47,11 @@ def describe_options(env: str) -> list[OptionDescription]:
         dataclasses.replace(option, default=registered.get(option.name, option.default)) for option in described
     ]
     return [*described, OptionDescription("max_episode_steps", str(spec.max_episode_steps), "int", LIMIT)]
+
+
+def describe_general_options() -> list[OptionDescription]:
+    """Return the options of every environment that is made of a task, but for its time limit, which each has."""
+    return [option for option in _fields(EnvironmentOptions) if option.name != "max_episode_steps"]
 
 
 def _fields(options_type: type[Any]) -> list[OptionDescription]:

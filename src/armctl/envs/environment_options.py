@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from armctl.core.errors import ConfigurationError, unknown_name
-from armctl.envs.episodes import LARGEST_REWARD
 
+LARGEST_REWARD = 1e90
+"""Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""
 ACTIONS = ("physical", "normalized")
 
 

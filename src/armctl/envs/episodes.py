@@ -22,8 +22,6 @@ ERROR = "error"
 """The outcome of an episode in which the policy failed: it raised an error, or returned an invalid action. It is a loss
 (see `armctl.rollout.loop`)."""
 LARGEST_SEED = 2**62
-LARGEST_REWARD = 1e90
-"""Largest reward, or reward term, of a control step: statistics square the sum of those of an episode."""
 
 
 class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):

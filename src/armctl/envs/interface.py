@@ -10,7 +10,7 @@ import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -18,18 +18,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, nearest
-from armctl.envs.episodes import EpisodeVectorEnv
 from armctl.envs.policy_seed import PolicyStreams
+from armctl.envs.sees import SEES, Sees
 
-Sees = Literal["observation", "model", "map", "state"]
-SEES: Mapping[str, str] = {
-    "observation": "observation",
-    "model": "observation + robot model",
-    "map": "map",
-    "state": "true state",
-}
-"""Privileges that a policy can declare, from the least to the most, and their text in tables.
-Each includes those before it."""
+if TYPE_CHECKING:
+    from armctl.envs.episodes import EpisodeVectorEnv
 
 
 class CurrentEpisode:
@@ -146,7 +139,7 @@ def how_to_declare(sees: str) -> str:
     return f'put @armctl.sees("{sees}") above its function or class, and every table will say it'
 
 
-def interface_of(worlds: EpisodeVectorEnv, sees: str, streams: PolicyStreams) -> Interface:
+def interface_of(worlds: "EpisodeVectorEnv", sees: str, streams: PolicyStreams) -> Interface:
     """Return what a policy with this privilege is told about these worlds. `sees` is a key of `INTERFACES`.
 
     Its random numbers come from `streams`.

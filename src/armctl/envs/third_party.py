@@ -21,7 +21,8 @@ from armctl.core.arrays import Array
 from armctl.core.errors import FAILURES, ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entropy
 from armctl.envs import foreign_values
-from armctl.envs.episodes import LARGEST_REWARD, RUNNING, EpisodeVectorEnv, Infos
+from armctl.envs.environment_options import LARGEST_REWARD
+from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import stacked
 from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts

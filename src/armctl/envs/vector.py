@@ -17,8 +17,8 @@ from armctl.core.errors import ConfigurationError, EnvironmentFailed, unknown_na
 from armctl.core.options import make_options
 from armctl.core.registration import load_task
 from armctl.disturbances import disturb, episode_entropy
-from armctl.envs.environment_options import NAMES, check_at_least_one, split_options
-from armctl.envs.episodes import ERROR, LARGEST_REWARD, RUNNING, EpisodeVectorEnv, Infos
+from armctl.envs.environment_options import LARGEST_REWARD, NAMES, check_at_least_one, split_options
+from armctl.envs.episodes import ERROR, RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.envs.pickling import MadeAgain
 from armctl.simulation.rendering import Camera, Window

@@ -12,25 +12,32 @@ if TYPE_CHECKING:
         configured,
         read_configuration,
     )
+    from armctl.policies.declare import made_for, sees
     from armctl.policies.find import (
-        UNSKILLED,
-        declared_sees,
-        describe_policy,
         make_policy,
         named_policies,
         policy_name,
+    )
+    from armctl.policies.names import (
+        GROUP,
+        UNSKILLED,
+        agent_cards,
+        check_policy_name,
+        declared_sees,
+        describe_policy,
         policy_names,
     )
     from armctl.policies.policy import Actions, Controller, ControllersFailed, PerWorld, Plans, Policy, PolicyFactory
-    from armctl.policies.privilege import privileges, sees
-    from armctl.policies.trainings import GROUP, agent_cards, expanded, is_seed_group, learners, training_card
+    from armctl.policies.privilege import privileges
+    from armctl.policies.trainings import expanded, is_seed_group, learners, training_card
     from armctl.policies.worlds import WorldsByInterface
 
 __all__ = [
     "GROUP", "SUFFIX", "UNSKILLED", "Actions", "Controller", "ControllersFailed", "PerWorld", "Plans", "Policy",
-    "PolicyConfiguration", "PolicyFactory", "WorldsByInterface", "agent_cards", "configurations", "configured",
-    "declared_sees", "describe_policy", "expanded", "is_seed_group", "learners", "make_policy", "named_policies",
-    "policy_name", "policy_names", "privileges", "read_configuration", "sees", "training_card",
+    "PolicyConfiguration", "PolicyFactory", "WorldsByInterface", "agent_cards", "check_policy_name",
+    "configurations", "configured", "declared_sees", "describe_policy", "expanded", "is_seed_group", "learners",
+    "made_for", "make_policy", "named_policies", "policy_name", "policy_names", "privileges", "read_configuration",
+    "sees", "training_card",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

@@ -23,7 +23,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.files import read_toml
 from armctl.core.options import checked_model
 from armctl.core.registration import files_beside, installed
-from armctl.policies.trainings import GROUP
+from armctl.policies.names import GROUP
 
 SUFFIX = ".toml"
 DESCRIPTION = "file of a policy's options"

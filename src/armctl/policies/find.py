@@ -3,7 +3,6 @@
 A package offers a policy under the entry-point group `armctl.policies`: a function from an environment to a `Policy`.
 """
 
-import inspect
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,32 +12,14 @@ import gymnasium
 
 from armctl.agents import FILES, load_agent
 from armctl.agents.costs import UNTRAINED
-from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described, unknown_name
+from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described
 from armctl.core.registration import import_attribute, installed
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, TaskEnv, chosen_policy_seed
 from armctl.policies.configuration import configured, tuning_of
+from armctl.policies.names import GROUP, agent_cards, check_policy_name, declared_sees, policy_names, with_agent
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
-from armctl.policies.privilege import declared
-from armctl.policies.trainings import GROUP, agent_cards, training_card
-
-UNSKILLED = {"random"}
-"""Policies that are only a lower bound: no part of a suite unless a task has no others, nor of a Pareto front."""
-
-
-def policy_names() -> list[str]:
-    """Return the names of all installed policies."""
-    return sorted(installed(GROUP).names)
-
-
-def describe_policy(name: str) -> str:
-    """Return the first line of the docstring of an installed policy's factory."""
-    return (inspect.getdoc(installed(GROUP)[name].load()) or "").partition("\n")[0]
-
-
-def declared_sees(name: str) -> str:
-    """Return what an installed policy declares to see: a key of `armctl.envs.SEES`."""
-    return declared(installed(GROUP)[name].load())
+from armctl.policies.trainings import training_card
 
 
 def is_expert(policy: Any) -> bool:
@@ -63,6 +44,7 @@ def named_policies(policies: Any) -> dict[str, Any]:
         by_name = dict(policies)
     else:
         named = [policies] if isinstance(policies, (str, Path)) or callable(policies) else list(policies)
+        named = [with_agent(policy) if isinstance(policy, str) else policy for policy in named]
         by_name = {policy_name(policy): policy for policy in named}
         if len(by_name) != len(named):
             raise ConfigurationError(
@@ -86,7 +68,7 @@ def make_policy(
     `policy` is one of these:
 
     - the name of an installed policy;
-    - the path of a learned agent's `.json` card or `.onnx` graph;
+    - the path of a learned agent's `.json` card or `.onnx` graph, or of a folder with `agent.json`;
     - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configuration`);
     - `NAME[SEED]`, one training of a recipe (see `armctl.policies.trainings`);
     - a function of one world's observation that returns an action;
@@ -128,7 +110,7 @@ def make_policy(
 def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
     if not isinstance(policy, (str, Path)):
         return adapted(policy, worlds, policy_name(policy), streams)
-    name = str(policy)
+    name = with_agent(str(policy))
     if Path(name).suffix in FILES:
         return load_agent(Path(name), worlds)
     if (card := training_card(name)) is not None:
@@ -144,10 +126,5 @@ def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStre
         return adapted(configuration.make(), worlds, name, streams)
     if name in policy_names():
         return adapted(installed(GROUP)[name].load(), worlds, name, streams)
-    if name.endswith(".py"):
-        raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")
-    if ":" not in name:
-        raise unknown_name(
-            "policy", name, [*policy_names(), "path/to/agent.json", "path/to/options.toml", "file.py:NAME"]
-        )
+    check_policy_name(name)
     return adapted(import_attribute(name, "policy"), worlds, name, streams)

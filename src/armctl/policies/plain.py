@@ -13,8 +13,9 @@ from armctl.core.arrays import object_array
 from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
+from armctl.policies.declare import declared
 from armctl.policies.policy import Actions, PerWorld, Policy
-from armctl.policies.privilege import as_declared, declared, knowledge_for
+from armctl.policies.privilege import as_declared, knowledge_for
 from armctl.tasks import Observations
 
 ENV_PARAMETERS = {"env", "envs", "environment", "worlds"}

@@ -1,61 +1,14 @@
-"""Declarations of what policies see, and what they get for it."""
+"""What policies get for what they declare to see."""
 
-import functools
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from typing import Any
 
 from armctl.core.errors import ConfigurationError, defined_at, unknown_name
-from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, Sees, how_to_declare, interface_of
+from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, how_to_declare, interface_of
+from armctl.policies.declare import declared, unwrapped
 
-Factory = TypeVar("Factory")
 PERCEIVED = ("observation", "state")
 """Through which of a disturbance's channels policies perceive their worlds."""
-
-
-def sees(privilege: Sees, *, family: str | None = None) -> Callable[[Factory], Factory]:
-    """Declare what a policy sees: a decorator of the function or class that makes it, or of a plain policy.
-
-    `family` is the kind of method, such as `MPC`, by which a suite ranks policies of several tasks together.
-
-    - `observation`: only what the environment gives to every policy; this is the default;
-    - `model`: the robot's description and the task's options as well;
-    - `map`: also what stands still around the robot;
-    - `state`: everything that is true. Only such a policy gets the environment itself.
-
-    Raises `ConfigurationError` for anything else.
-    """
-    check_sees(privilege)
-
-    def declare(factory: Factory) -> Factory:
-        factory.sees = privilege  # type: ignore[attr-defined]
-        if family is not None:
-            factory.family = family  # type: ignore[attr-defined]
-        return factory
-
-    return declare
-
-
-def check_sees(privilege: object) -> None:
-    """Raise `ConfigurationError` for what is not a key of `SEES`."""
-    if privilege not in SEES:
-        raise unknown_name("privilege", privilege, SEES)
-
-
-def declared(source: Any) -> str:
-    """Return what a policy, or its maker, declares to see. Raises `ConfigurationError`."""
-    source = _unwrapped(source)
-    privilege = getattr(source, "sees", "observation")
-    if isinstance(source, type) and isinstance(privilege, property):  # its instances know
-        return "observation"
-    check_sees(privilege)
-    return str(privilege)
-
-
-def _unwrapped(source: Any) -> Any:
-    """Return the function of a partial one, unless this declares something itself."""
-    while isinstance(source, functools.partial) and "sees" not in vars(source):
-        source = source.func
-    return source
 
 
 def knowledge_for(
@@ -85,7 +38,7 @@ def as_declared(policy: Any, privilege: str, name: str, source: Any) -> Any:
         )
     if declaration != privilege:
         policy.sees = privilege
-    if (family := getattr(_unwrapped(source), "family", None)) is not None:
+    if (family := getattr(unwrapped(source), "family", None)) is not None:
         policy.family = family
     return policy
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from armctl.agents import CARD, FILES, AgentCard, read_card
-from armctl.core.errors import AgentFileError, ConfigurationError
-from armctl.core.registration import files_beside
+from armctl.core.errors import AgentFileError, ConfigurationError, unknown_name
+from armctl.core.registration import installed
+from armctl.policies.names import GROUP, agent_cards, with_agent
 
-GROUP = "armctl.policies"
 SEEDS = "seeds"
 """Folder of further trainings, beside the shipped one: `NAME-SEED.json` and `.onnx`."""
 FIELDS_THAT_MUST_MATCH = (
@@ -24,11 +24,6 @@ FIELDS_THAT_MUST_MATCH = (
 )  # fmt: skip
 """Fields of their cards in which trainings of one recipe agree."""
 _NAME = re.compile(r"(?P<recipe>.+)\[(?P<seed>\*|\d{1,18})\]")
-
-
-def agent_cards() -> dict[str, Path]:
-    """Return the cards of installed agents, by name."""
-    return files_beside(GROUP, ".json")
 
 
 def is_seed_group(name: object) -> bool:
@@ -145,6 +140,24 @@ def card_of(policy: Any) -> AgentCard | None:
     if path is None and Path(policy).suffix in FILES and os.path.isfile(policy):  # also for impossible file names
         path = Path(policy).with_suffix(".json")
     return None if path is None else read_card(path)
+
+
+def card_path(agent: str | Path) -> Path:
+    """Return the path of an agent's card: by its card, graph or folder, an installed agent's name, or `NAME[SEED]`."""
+    path = Path(with_agent(str(agent)))
+    if path.suffix in FILES:
+        return path.with_suffix(".json")
+    if (card := training_card(str(agent))) is not None:
+        return card
+    cards = agent_cards()
+    if str(agent) in installed(GROUP).names - cards.keys():
+        raise ConfigurationError(
+            f"{agent} is not a learned agent: it has no card, and so nothing to reproduce. Agents are "
+            f"{', '.join(sorted(cards))}, or path/to/agent.json; armctl compare plays any policy"
+        )
+    if str(agent) not in cards:
+        raise unknown_name("agent", agent, [*cards, "path/to/agent.json"])
+    return cards[str(agent)]
 
 
 def _check_same_recipe(recipe: str, first: AgentCard, card: AgentCard, path: Path) -> None:

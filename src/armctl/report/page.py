@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from armctl.core.errors import ResultsError
+from armctl.core.errors import no_results
 from armctl.core.registration import import_attribute, remember_named
 from armctl.envs import full_id
 from armctl.episodes.record import EpisodeResult
@@ -54,7 +54,7 @@ def write_report(
         import_attribute(name, "policy")
     folder = Path(folder)
     if not os.path.isdir(folder):  # also for a name that no folder can have
-        raise ResultsError(f"there is no folder {folder}: armctl compare --out {shlex.quote(str(folder))} makes one")
+        raise no_results(folder)
     out, study = folder / REPORT if out is None else Path(out), read_study(folder)
     reports: dict[str, str] = {}
     for env, swept in study.tasks.items():

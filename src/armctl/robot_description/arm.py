@@ -17,59 +17,15 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.kernels.drives import DRIVE
+from armctl.robot_description.builtin import BUILTIN_ARMS, MAX_ACCELERATION
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing, posture_above_floor
 from armctl.robot_description.notes import in_words, note_on_home, notes_on_kinematics, notes_on_pairs, tell
 from armctl.robot_description.urdf import Shape, Urdf
 from armctl.robot_description.xml_file import impossible_pairs
 
-
-@dataclass(frozen=True)
-class BuiltinArm:
-    """Additions of armctl to the URDF of an arm from example-robot-data."""
-
-    urdf: str
-    srdf: str
-    tip: str
-    home: tuple[float, ...]
-    max_acceleration: float | tuple[float, ...]
-
-
-MAX_ACCELERATION = 15.0
-"""rad/s^2: default, as URDFs have no such limit; about what its effort allows a stretched-out UR5"""
 MAX_JERK = 300.0
 """rad/s^3: default; reaches that acceleration within 50 ms"""
-
-_UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
-
-BUILTIN_ARMS = {
-    name: BuiltinArm(
-        f"ur_description/urdf/{name}_robot.urdf", "ur_description/srdf/ur5.srdf", "ee_link", _UR_HOME, MAX_ACCELERATION
-    )
-    for name in ("ur3", "ur5", "ur10")
-} | {
-    "z1": BuiltinArm(
-        "z1_description/urdf/z1.urdf",
-        "z1_description/srdf/z1.srdf",
-        "gripperStator",
-        (0.0, 1.2, -1.2, 0.0, 0.0, 0.0),
-        MAX_ACCELERATION,
-    ),
-    "panda": BuiltinArm(
-        "panda_description/urdf/panda.urdf",
-        "panda_description/srdf/panda.srdf",
-        "panda_hand_tcp",
-        (0.0, -0.785398, 0.0, -2.35619, 0.0, 1.5707, 0.785398),
-        (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # Franka Control Interface documentation, limits for the Panda
-    ),
-    "xarm7": BuiltinArm(
-        "xarm_description/urdf/xarm7.urdf",
-        "xarm_description/srdf/xarm7.srdf",
-        "link_eef",
-        (0.0, -0.5, 0.0, 0.9, 0.0, 1.4, 0.0),
-        MAX_ACCELERATION,
-    ),
-}
 
 
 @dataclass(frozen=True, eq=False)

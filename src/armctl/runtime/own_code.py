@@ -8,7 +8,7 @@ from pathlib import Path, PurePath
 from types import ModuleType
 
 from armctl.core.registration import installed
-from armctl.policies import GROUP
+from armctl.policies.names import GROUP
 
 _PACKAGES = {"site-packages", "dist-packages"}
 """Folders of installed packages, also of another environment that Python's path leads to."""

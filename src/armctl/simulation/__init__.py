@@ -1,15 +1,15 @@
 """The simulated truth: n worlds of one MuJoCo model, stepped together, with contact sensors and cameras."""
 
-import mujoco
+from typing import TYPE_CHECKING
 
-from armctl.simulation.contacts import ContactSensors
-from armctl.simulation.ray_camera import RayCamera
-from armctl.simulation.rendering import Camera
-from armctl.simulation.simulation import Simulation
+from armctl.core.lazy import on_first_use
 
-_log = mujoco.MjLogConfig.get()
-if _log.logfile == "MUJOCO_LOG.TXT":  # MuJoCo's default, in whichever folder the user is
-    _log.logto_file = False
-    _log.set()
+if TYPE_CHECKING:
+    from armctl.simulation.contacts import ContactSensors
+    from armctl.simulation.ray_camera import RayCamera
+    from armctl.simulation.rendering import Camera
+    from armctl.simulation.simulation import Simulation
 
 __all__ = ["Camera", "ContactSensors", "RayCamera", "Simulation"]
+
+__getattr__, __dir__ = on_first_use(__name__)

@@ -19,6 +19,11 @@ from armctl.simulation.control_step import NO_PARTS, Stepper
 from armctl.simulation.impacts import hard_impact
 from armctl.simulation.threads import usable_threads
 
+_log = mujoco.MjLogConfig.get()
+if _log.logfile == "MUJOCO_LOG.TXT":  # MuJoCo's default, in whichever folder the user is
+    _log.logto_file = False
+    _log.set()
+
 WorldIds = NDArray[np.int32]
 
 CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)

@@ -12,7 +12,7 @@ from armctl.agents import read_card
 from armctl.core.errors import ArmctlError, ResultsError
 from armctl.core.files import bounded_text
 from armctl.envs import full_id
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 
 CURVE = "curve.csv"
 CURVE_COLUMNS = ("steps", "minutes", "success", "low", "high", "return")

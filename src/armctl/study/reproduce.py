@@ -11,11 +11,11 @@ import pandas as pd
 import scipy
 
 from armctl.agents import AgentCard, Evaluation, read_card
-from armctl.core.errors import AgentFileError, ConfigurationError, unknown_name
-from armctl.core.registration import installed, remember_named
+from armctl.core.errors import AgentFileError, ConfigurationError
+from armctl.core.registration import remember_named
 from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import check_from_file, full_id
-from armctl.policies import GROUP, agent_cards, training_card
+from armctl.policies.trainings import card_path
 from armctl.rollout.loop import evaluate
 from armctl.stats.intervals import success_rate
 from armctl.stats.paired import holm
@@ -151,24 +151,6 @@ def reproduce(agent: str | Path, *, seed: Seed | None = None, worlds: int = 64, 
         lower_bound_steps=False,
     )
     return Reproduction(card, claimed, evaluation_of(episodes, seed))
-
-
-def card_path(agent: str | Path) -> Path:
-    """Return the path of an agent's card: of its card or graph, of an installed agent's name, or of `NAME[SEED]`."""
-    path = Path(agent)
-    if path.suffix in (".json", ".onnx"):
-        return path.with_suffix(".json")
-    if (card := training_card(str(agent))) is not None:
-        return card
-    cards = agent_cards()
-    if str(agent) in installed(GROUP).names - cards.keys():
-        raise ConfigurationError(
-            f"{agent} is not a learned agent: it has no card, and so nothing to reproduce. Agents are "
-            f"{', '.join(sorted(cards))}, or path/to/agent.json; armctl compare plays any policy"
-        )
-    if str(agent) not in cards:
-        raise unknown_name("agent", agent, [*cards, "path/to/agent.json"])
-    return cards[str(agent)]
 
 
 def evaluation_of(episodes: pd.DataFrame, seed: int) -> Evaluation:

@@ -26,8 +26,9 @@ from armctl.policies import (
 from armctl.rollout.loop import build_policy, rollouts
 from armctl.runtime.identity import checksums_of_code
 from armctl.study.curves import CURVE, read_curve
-from armctl.training.learners import Recipe, load_recipe, recipe_names
+from armctl.training.learners import Recipe, load_recipe
 from armctl.training.run import code_of, finished, for_sending, train_here
+from armctl.tuning.names import check_tunable
 
 RECIPE_KEYS = ("options", "shaping_scale", "reward_weights", "training_options")
 POLICY_KEYS = ("options",)
@@ -214,17 +215,11 @@ def candidate_of(
             configuration = configuration.model_copy(update={"env": env})
         space = _space(configuration.tune, configuration.model_dump(), file.name, POLICY_KEYS)
         return PolicyCandidate(name, space, score, configuration, episodes)
-    if name not in recipe_names() and Path(name).suffix != SUFFIX:
-        raise unknown_name("recipe or expert with a search space", name, [*tunable(), "path/to/recipe.toml"])
+    check_tunable(name)
     recipe = load_recipe(name, env)
     space = _space(recipe.tune, recipe.model_dump(exclude={"seeds"}), f"the recipe {name}", RECIPE_KEYS)
     seeds = tuple(range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + training_seeds))
     return RecipeCandidate(name, space, score, recipe, seeds)
-
-
-def tunable() -> list[str]:
-    """Names of installed recipes and policies that have a search space."""
-    return sorted([*(name for name in recipe_names() if load_recipe(name).tune), *configurations()])
 
 
 def _file_of_policy(name: str) -> Path | None:

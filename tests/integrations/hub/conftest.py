@@ -3,7 +3,7 @@ import shutil
 import pytest
 from huggingface_hub import constants
 
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 
 from .fake_hub import TOKEN, serving
 

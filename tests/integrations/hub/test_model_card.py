@@ -10,7 +10,7 @@ from armctl.agents import AgentCard, read_card
 from armctl.core.seeds import TEST_SEED
 from armctl.integrations.hub import model_card
 from armctl.policies import agent_cards
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 
 NAME = "owner/agent"
 

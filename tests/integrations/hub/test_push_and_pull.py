@@ -15,7 +15,7 @@ from armctl.core.errors import AgentFileError, ConfigurationError, HubError, Res
 from armctl.envs import make_worlds
 from armctl.integrations.hub import model_card, pull, push
 from armctl.integrations.hub.download import LARGEST
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 
 from ...command_line import armctl, program
 from .fake_hub import FILES, NAME, contents, published

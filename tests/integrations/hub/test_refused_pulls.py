@@ -14,7 +14,7 @@ from huggingface_hub import constants
 from armctl.core.errors import AgentFileError, ConfigurationError, HubError
 from armctl.integrations.hub import client, pull, push
 from armctl.integrations.hub.download import LARGEST
-from armctl.study.reproduce import card_path
+from armctl.policies.trainings import card_path
 
 from .fake_hub import NAME, broken_off, contents, endless, huge, published, trickling
 

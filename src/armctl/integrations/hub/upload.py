@@ -10,8 +10,8 @@ from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.integrations.hub.client import check_repository, hub_api, hub_errors, in_time
 from armctl.integrations.hub.model_card import model_card
 from armctl.policies import agent_cards
+from armctl.policies.trainings import card_path
 from armctl.study.curves import CURVE, curve_path, read_curve
-from armctl.study.reproduce import card_path
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

@@ -73,6 +73,7 @@ class BridgeTask(Task):
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         **Task.potentials, "ompl": CrossingCostToGo, "people": CrossingTimeToGo,
     }  # fmt: skip
+    units: ClassVar[Mapping[str, str]] = {"motion": "m/s, rad/s, rad/s", "action": "speed, m/s; turn rate, rad/s"}
     render_fps = round(1 / CONTROL_PERIOD)
 
     def __init__(self, n: int, options: BridgeOptions, threads: int = 0) -> None:

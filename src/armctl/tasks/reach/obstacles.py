@@ -124,6 +124,8 @@ class ReachObstaclesTask(ReachTask):
 
     options: ReachObstaclesOptions
     options_type: ClassVar[type[Any]] = ReachObstaclesOptions
+    possible_outcomes = (ReachOutcome.REACHED, ReachOutcome.TIMEOUT, ReachOutcome.COLLIDED)
+    units: ClassVar[Mapping[str, str]] = {**ReachTask.units, "boxes": "centres and half sizes, m; yaw, rad"}
     instruction = "Move the end-effector to the target without touching the obstacles."
     default_policies = (
         "reach_ompl",

@@ -67,6 +67,7 @@ class ReachTask(Task):
 
     options_type: ClassVar[type[Any]] = ReachOptions
     outcomes = ReachOutcome
+    possible_outcomes: ClassVar[tuple[ReachOutcome, ...]] = (ReachOutcome.REACHED, ReachOutcome.TIMEOUT)
     instruction: ClassVar[str] = "Move the end-effector to the target."
     default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_ppo", "random")
     disturbances = ARM
@@ -76,6 +77,12 @@ class ReachTask(Task):
         "mpc": MpcCost,
     }
     interface_options = Task.interface_options | {"control", "observation", "goal"}
+    units: ClassVar[Mapping[str, str]] = {
+        "end_effector_position": "m", "joint_positions": "rad", "joint_velocities": "rad/s", "target_position": "m",
+        "position": "joint positions, rad", "relative": "joint positions less the present ones, rad",
+        "delta": "change of the joints' goals, rad", "velocity": "joint velocities, rad/s", "torque": "torques, N m",
+    }  # fmt: skip
+    """Units of parts of the observation, and of an action by the control mode."""
     stops_at_target: ClassVar[bool] = True
     """True if a world stands still from the tick on in which its end-effector enters the sphere."""
     joints: JointSamples

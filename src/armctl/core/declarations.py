@@ -1,0 +1,97 @@
+"""What classes and functions declare in their source: texts and numbers, read without importing anything heavy."""
+
+import ast
+import contextlib
+import functools
+import importlib.util
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """The first line of a docstring, and values that need no code."""
+
+    summary: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """Attributes of a class."""
+    decorators: Mapping[str, tuple[list[Any], dict[str, Any]]] = field(default_factory=dict)
+    """Arguments and keywords of decorators, by the decorators' names."""
+
+
+def class_value(name: str, attribute: str) -> str | None:
+    """Return `module:Class` of a class that is an attribute of the class `name`, or of a base; None: unknown."""
+    for module, node in _with_bases(name):
+        for line in node.body:
+            match line:
+                case (
+                    ast.Assign(targets=[ast.Name(id=target)], value=ast.Name(id=value))
+                    | ast.AnnAssign(target=ast.Name(id=target), value=ast.Name(id=value))
+                ) if target == attribute:
+                    return f"{module}:{value}"
+    return None
+
+
+def field_names(name: str) -> list[str]:
+    """Return the fields of the dataclass `module:Class` and its bases."""
+    return [
+        line.target.id
+        for _, node in _with_bases(name)
+        for line in node.body
+        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name) and "ClassVar" not in ast.dump(line)
+    ]
+
+
+def _with_bases(name: str) -> Iterator[tuple[str, ast.ClassDef]]:
+    """Yield a class and its bases, as far as they are found, each with its module."""
+    module, node = _definition(name)
+    if isinstance(node, ast.ClassDef):
+        yield module, node
+        for base in node.bases:
+            if isinstance(base, ast.Name):
+                yield from _with_bases(f"{module}:{base.id}")
+
+
+def declaration(name: str) -> Declaration | None:
+    """Return what `module:attribute` declares; None if the source does not say."""
+    _, node = _definition(name)
+    return None if node is None else _read(node)
+
+
+def _definition(name: str) -> tuple[str, ast.ClassDef | ast.FunctionDef | None]:
+    """Return the module that defines `module:attribute`, and the definition; None if it is made in another way."""
+    module, _, attribute = name.partition(":")
+    for node in ast.walk(_tree(module)):
+        match node:
+            case ast.ClassDef(name=found) | ast.FunctionDef(name=found) if found == attribute:
+                return module, node
+            case ast.ImportFrom(module=str(home)) if attribute in {alias.asname or alias.name for alias in node.names}:
+                return _definition(f"{home}:{attribute}")
+    return module, None
+
+
+@functools.cache
+def _tree(module: str) -> ast.Module:
+    """Return a module's source, taken apart; nothing if it cannot be read."""
+    with contextlib.suppress(Exception):  # whatever a stranger's package does when its folder is looked for
+        spec = importlib.util.find_spec(module)
+        source = getattr(spec.loader, "get_source", None) if spec else None
+        return ast.parse(source(module) if source else "")
+    return ast.parse("")
+
+
+def _read(node: ast.ClassDef | ast.FunctionDef) -> Declaration:
+    values, decorators = {}, {}
+    for line in node.body if isinstance(node, ast.ClassDef) else []:
+        match line:
+            case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)) if line.value:
+                with contextlib.suppress(ValueError):
+                    values[name] = ast.literal_eval(line.value)
+    for decorator in node.decorator_list:
+        match decorator:
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=keywords):
+                with contextlib.suppress(ValueError):
+                    given = {keyword.arg or "": ast.literal_eval(keyword.value) for keyword in keywords}
+                    decorators[name] = [ast.literal_eval(arg) for arg in args], given
+    return Declaration((ast.get_docstring(node) or "").partition("\n")[0], values, decorators)

@@ -1,0 +1,70 @@
+"""Declarations of what policies see, which load nothing."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from armctl.core.errors import unknown_name
+from armctl.envs.sees import SEES, Sees
+
+Factory = TypeVar("Factory")
+
+
+def sees(privilege: Sees, *, family: str | None = None) -> Callable[[Factory], Factory]:
+    """Declare what a policy sees: a decorator of the function or class that makes it, or of a plain policy.
+
+    `family` is the kind of method, such as `MPC`, by which a suite ranks policies of several tasks together.
+
+    - `observation`: only what the environment gives to every policy; this is the default;
+    - `model`: the robot's description and the task's options as well;
+    - `map`: also what stands still around the robot;
+    - `state`: everything that is true. Only such a policy gets the environment itself.
+
+    Raises `ConfigurationError` for anything else.
+    """
+    check_sees(privilege)
+
+    def declare(factory: Factory) -> Factory:
+        factory.sees = privilege  # type: ignore[attr-defined]
+        if family is not None:
+            factory.family = family  # type: ignore[attr-defined]
+        return factory
+
+    return declare
+
+
+def made_for(envs: str, *, controls: str) -> Callable[[Factory], Factory]:
+    """Declare, for `armctl list`, for which environments a policy is made, and what it controls there.
+
+    `envs` is an id, or a pattern such as `armctl/ArmReach*`; `controls` are robots and commands, such as `ur5,
+    position`. Both are literal texts, which are read from the source.
+    """
+
+    def declare(factory: Factory) -> Factory:
+        factory.made_for = (envs, controls)  # type: ignore[attr-defined]
+        return factory
+
+    return declare
+
+
+def check_sees(privilege: object) -> None:
+    """Raise `ConfigurationError` for what is not a key of `SEES`."""
+    if privilege not in SEES:
+        raise unknown_name("privilege", privilege, SEES)
+
+
+def declared(source: Any) -> str:
+    """Return what a policy, or its maker, declares to see. Raises `ConfigurationError`."""
+    source = unwrapped(source)
+    privilege = getattr(source, "sees", "observation")
+    if isinstance(source, type) and isinstance(privilege, property):  # its instances know
+        return "observation"
+    check_sees(privilege)
+    return str(privilege)
+
+
+def unwrapped(source: Any) -> Any:
+    """Return the function of a partial one, unless this declares something itself."""
+    while isinstance(source, functools.partial) and "sees" not in vars(source):
+        source = source.func
+    return source

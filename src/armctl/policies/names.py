@@ -1,0 +1,52 @@
+"""Names of policies, known without loading any."""
+
+import inspect
+import os.path
+from pathlib import Path
+
+from armctl.agents import CARD
+from armctl.core.errors import ConfigurationError, unknown_name
+from armctl.core.registration import files_beside, installed
+from armctl.policies.declare import declared
+
+GROUP = "armctl.policies"
+"""Entry-point group under which a package offers policies."""
+UNSKILLED = {"random"}
+"""Policies that are only a lower bound: no part of a suite unless a task has no others, nor of a Pareto front."""
+FORMS = (".json", ".onnx", ".toml", ".zip", "]")
+"""Endings of the names of agents, options, models, and trainings of a recipe."""
+
+
+def policy_names() -> list[str]:
+    """Return the names of all installed policies."""
+    return sorted(installed(GROUP).names)
+
+
+def describe_policy(name: str) -> str:
+    """Return the first line of the docstring of an installed policy's factory."""
+    return (inspect.getdoc(installed(GROUP)[name].load()) or "").partition("\n")[0]
+
+
+def declared_sees(name: str) -> str:
+    """Return what an installed policy declares to see: a key of `armctl.envs.SEES`."""
+    return declared(installed(GROUP)[name].load())
+
+
+def agent_cards() -> dict[str, Path]:
+    """Return the cards of installed agents, by name."""
+    return files_beside(GROUP, ".json")
+
+
+def with_agent(name: str) -> str:
+    """Return the path of the agent in the folder `name`, as `armctl train` makes it; any other name as it is."""
+    return os.path.join(name, CARD) if name not in policy_names() and os.path.isfile(os.path.join(name, CARD)) else name
+
+
+def check_policy_name(name: str) -> None:
+    """Raise `ConfigurationError` for a name that has no form of a policy's."""
+    if name.endswith(".py"):
+        raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")
+    if name not in policy_names() and ":" not in name and not name.endswith(FORMS):
+        raise unknown_name(
+            "policy", name, [*policy_names(), "path/to/agent.json", "path/to/options.toml", "file.py:NAME"]
+        )

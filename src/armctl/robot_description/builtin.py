@@ -1,0 +1,49 @@
+"""The arms that come with armctl, from example-robot-data."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class BuiltinArm:
+    """Additions of armctl to the URDF of an arm from example-robot-data."""
+
+    urdf: str
+    srdf: str
+    tip: str
+    home: tuple[float, ...]
+    max_acceleration: float | tuple[float, ...]
+
+
+MAX_ACCELERATION = 15.0
+"""rad/s^2: default, as URDFs have no such limit; about what its effort allows a stretched-out UR5"""
+
+_UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+
+BUILTIN_ARMS = {
+    name: BuiltinArm(
+        f"ur_description/urdf/{name}_robot.urdf", "ur_description/srdf/ur5.srdf", "ee_link", _UR_HOME, MAX_ACCELERATION
+    )
+    for name in ("ur3", "ur5", "ur10")
+} | {
+    "z1": BuiltinArm(
+        "z1_description/urdf/z1.urdf",
+        "z1_description/srdf/z1.srdf",
+        "gripperStator",
+        (0.0, 1.2, -1.2, 0.0, 0.0, 0.0),
+        MAX_ACCELERATION,
+    ),
+    "panda": BuiltinArm(
+        "panda_description/urdf/panda.urdf",
+        "panda_description/srdf/panda.srdf",
+        "panda_hand_tcp",
+        (0.0, -0.785398, 0.0, -2.35619, 0.0, 1.5707, 0.785398),
+        (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # Franka Control Interface documentation, limits for the Panda
+    ),
+    "xarm7": BuiltinArm(
+        "xarm_description/urdf/xarm7.urdf",
+        "xarm_description/srdf/xarm7.srdf",
+        "link_eef",
+        (0.0, -0.5, 0.0, 0.9, 0.0, 1.4, 0.0),
+        MAX_ACCELERATION,
+    ),
+}

@@ -1,0 +1,86 @@
+"""What a command imports before it says its first word: no heavy package that it does not need."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {
+    "casadi", "coal", "eaik", "h5py", "joblib", "jinja2", "matplotlib", "mujoco", "numba", "ompl", "onnx",
+    "onnxruntime", "osqp", "pandas", "pinocchio", "plotly", "ruckig", "scipy.ndimage", "scipy.sparse", "scipy.spatial",
+    "scipy.stats", "torch",
+}  # fmt: skip
+"""Packages that take a tenth of a second or more, or load one that does."""
+CODE = """
+import sys
+from armctl.cli import main
+try:
+    main()
+except SystemExit as exit:
+    print(exit.code, *{heavy!r} & sys.modules.keys(), file=sys.stderr)
+"""
+
+
+def loaded(arguments, folder):
+    """Return the exit status of a command, and the heavy packages that it has loaded."""
+    done = subprocess.run(
+        [sys.executable, "-c", CODE.replace("{heavy!r}", repr(HEAVY)), *arguments],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env=os.environ | {"PYTHONSAFEPATH": "1"},
+    )
+    status, *packages = done.stderr.splitlines()[-1].split()
+    return int(status), set(packages)
+
+
+@pytest.mark.one_case
+@pytest.mark.parametrize(
+    "arguments", [["list"], ["plan", "--detect", "30"], ["plan", "--detect", "30", "--format", "json"], ["--version"]]
+)
+def test_a_verb_that_needs_no_simulator_loads_none(arguments, tmp_path):
+    status, packages = loaded(arguments, tmp_path)
+    assert status == 0
+    assert packages <= {"scipy.sparse"}  # of which scipy.special takes a part
+
+
+@pytest.mark.one_case
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["compare", "reach_ikk"],
+        ["compare", "--env", "armctl/Nope-v0"],
+        ["compare", "--margin", "-3"],
+        ["compare", "--set", "tolerence=1"],
+        ["compare", "--env", "armctl/ArmReachMoving-v0", "--set", "hold_tim=1"],
+        ["sweep", "--env", "armctl/BridgeCross-v0", "--set", "deck_lenght=10"],
+        ["run", "random", "--set", "tolerence=1"],
+        ["view", "random", "--set", "tolerence=1"],
+        ["collect", "random", "--out", "data", "--set", "tolerence=1"],
+        ["compare", "--set", "tolerance"],
+        ["compare", "--baseline", "reach_ikk"],
+        ["compare", "--no-such-flag"],
+        ["sweep", "reach_ikk"],
+        ["suite", "--env", "armctl/Nope-v0"],
+        ["plan", "--detect", "0"],
+        ["plan", "--pilot", "nowhere"],
+        ["report", "nowhere"],
+        ["episodes", "nowhere", "--csv"],
+        ["reproduce", "reach_pp"],
+        ["train", "reach_pp"],
+        ["train", "ppo", "--env", "armctl/Nope-v0"],
+        ["export", "model.zip", "--env", "armctl/Nope-v0"],
+        ["run", "reach_ikk"],
+        ["view", "reach_ikk"],
+        ["collect", "reach_ikk", "--out", "data"],
+        ["push", "reach_pp", "me/mine"],
+        ["tune", "reach_saac"],
+        ["list", "--env", "armctl/Nope-v0"],
+    ],
+    ids=" ".join,
+)
+def test_a_mistake_is_told_before_anything_heavy_is_loaded(arguments, tmp_path):
+    status, packages = loaded(arguments, tmp_path)
+    assert status == 2
+    assert not packages
