@@ -64,7 +64,7 @@ def _definition(name: str) -> tuple[str, ast.ClassDef | ast.FunctionDef | None]:
     module, _, attribute = name.partition(":")
     for node in ast.walk(_tree(module)):
         match node:
-            case ast.ClassDef(name=found) | ast.FunctionDef(name=found) if found == attribute:
+            case ast.ClassDef(name=defined) | ast.FunctionDef(name=defined) if defined == attribute:
                 return module, node
             case ast.ImportFrom(module=str(home)) if attribute in {alias.asname or alias.name for alias in node.names}:
                 return _definition(f"{home}:{attribute}")
@@ -92,6 +92,6 @@ def _read(node: ast.ClassDef | ast.FunctionDef) -> Declaration:
         match decorator:
             case ast.Call(func=ast.Name(id=name), args=args, keywords=keywords):
                 with contextlib.suppress(ValueError):
-                    given = {keyword.arg or "": ast.literal_eval(keyword.value) for keyword in keywords}
-                    decorators[name] = [ast.literal_eval(arg) for arg in args], given
+                    arguments = {keyword.arg or "": ast.literal_eval(keyword.value) for keyword in keywords}
+                    decorators[name] = [ast.literal_eval(arg) for arg in args], arguments
     return Declaration((ast.get_docstring(node) or "").partition("\n")[0], values, decorators)
