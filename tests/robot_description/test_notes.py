@@ -1,5 +1,6 @@
 """What armctl repairs, leaves out or assumes about a robot's file is told: on load, in results, in their identity."""
 
+import re
 import warnings
 
 import mujoco
@@ -183,3 +184,141 @@ def test_an_srdf_about_links_that_the_arm_does_not_have_rules_nothing_out(urdf, 
 
 def test_a_first_link_in_the_floor_that_only_turns_is_told(urdf):
     assert "Link 'l1' is in the floor" in noted(urdf(mounted("0 0 -0.15")), home=[0, 0.2, 0, 0, 0, 0])
+
+
+def chain(**changes):
+    """A chain of six joints about Z, Y, Y, X, Y, X; `changes` are texts in place of others, of the second joint."""
+    text = chain_of([Z, Y, Y, X, Y, X], length=0.2)
+    second = joint("j2", "l1", "l2", axis=Y).replace("0 0 .4", "0 0 0.2")
+    assert second in text
+    changed = second
+    for old, new in changes.values():
+        assert old in changed
+        changed = changed.replace(old, new)
+    return text.replace(second, changed)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+def test_a_joint_of_the_chain_that_mimics_another_has_no_motor(urdf, kind):
+    text = chain(more=("</joint>", '<mimic joint="j1" multiplier="-1"/></joint>'), kind=("revolute", kind))
+    with pytest.raises(ConfigurationError, match=r"'j2' between root and tip mimics 'j1'.*a motor for each"):
+        load_arm(urdf(text))
+    assert load_arm(urdf(text.replace(f'name="j2" type="{kind}"', 'name="j2" type="fixed"'))).dof == 5
+    assert load_arm(urdf(text), tip="l1").dof == 1
+
+
+def test_joints_beside_the_chain_are_told(urdf):
+    finger = joint("finger", "l6", "pad", "prismatic", '<limit lower="0.01" upper="0.04" velocity="1" effort="1"/>')
+    second = joint("second", "l6", "pad2", "prismatic").replace("</joint>", '<mimic joint="finger"/></joint>')
+    links = '<link name="pad"/><link name="pad2"/>'
+    notes = noted(urdf(chain().replace("</robot>", f"{links}{finger}{second}</robot>")), tip="tool")
+    assert "Joints beside the chain from root to tip are fixed at zero: 'finger', 'second'." in notes
+    assert "out of the range of these: 'finger'." in notes
+
+
+ODD = {
+    "degrees": (
+        {"limit": ('lower="-2" upper="2"', 'lower="-170" upper="170"')},
+        "'j2' turns up to 170 rad, 27 turns.*degr",
+    ),
+    "degrees of one side": ({"limit": ('upper="2"', 'upper="90"')}, "'j2' turns up to 90 rad"),
+    "degrees per second": (
+        {"limit": ('velocity="3"', 'velocity="120"')},
+        "'j2' turns at up to 120 rad/s.*degrees per sec",
+    ),
+    "origin in degrees": ({"at": ('<origin xyz="0 0 0.2"', '<origin xyz="0 0 0.2" rpy="0 0 90"')}, "turned by 90 rad"),
+    "weak": (
+        {"limit": ('effort="50"', 'effort="0.5"')},
+        r"'j2' needs up to .* N m against gravity, and may use 0.5 N m",
+    ),
+    "soft limits": (
+        {
+            "more": (
+                "</joint>",
+                '<safety_controller soft_lower_limit="-1" soft_upper_limit="1" k_velocity="1"/></joint>',
+            )
+        },
+        "Soft limits .*'j2'",
+    ),
+    "damping": ({"more": ("</joint>", '<dynamics damping="1"/></joint>')}, "Damping .*'j2'"),
+    "friction": ({"more": ("</joint>", '<dynamics friction="1"/></joint>')}, "friction .*'j2'"),
+    "no axis": ({"axis": ('<axis xyz="0 1 0"/>', "")}, "without an <axis> .* x.*'j2'"),
+    "continuous": ({"kind": ("revolute", "continuous")}, "Continuous joints turn by one turn .*'j2'"),
+    "unit of a limit": ({"limit": ("<limit ", '<limit unit="deg" ')}, "Not read: unit='deg' of <limit>"),
+    "acceleration": ({"limit": ("<limit ", '<limit acceleration="5" ')}, "acceleration='5' of <limit>"),
+    "quaternion": ({"at": ("<origin ", '<origin quat_xyzw="1 0 0 0" ')}, "quat_xyzw='1 0 0 0' of <origin>"),
+    "unknown element": ({"more": ("</joint>", "<backlash/></joint>")}, "Not read: <backlash>"),
+}
+
+
+@pytest.mark.parametrize(("changes", "says"), ODD.values(), ids=ODD)
+def test_what_is_odd_is_told_and_what_is_not_is_not(urdf, changes, says):
+    with pytest.warns(UserWarning, match=says):
+        arm = load_arm(urdf(chain(**changes)))
+    (note,) = (note for note in arm.notes if not note.startswith("Assumed"))
+    assert re.search(says, note)
+
+
+@pytest.mark.parametrize("harmless", ["", '<dynamics damping="0"/>', '<calibration rising="0"/>', "<!-- a remark -->"])
+def test_an_ordinary_file_has_only_assumptions_noted(urdf, harmless):
+    notes = noted(urdf(chain(more=("</joint>", f"{harmless}</joint>"))))
+    assert notes == (
+        "Assumed, since a URDF does not say: home (rad) 0, 0, 0, 0, 0, 0; acceleration limits (rad/s^2) 15; jerk limits "
+        "(rad/s^3) 300."
+    )
+    assert not noted(urdf(chain()), home=np.zeros(6), max_acceleration=10, max_jerk=100)
+
+
+@pytest.mark.parametrize(("factor", "says"), [(1000, "is 1.2e+03 m long"), (0.01, "is 0.012 m long"), (1, "")])
+def test_lengths_in_other_units_are_suspected(urdf, factor, says):
+    text = chain().replace('xyz="0 0 0.2"', f'xyz="0 0 {0.2 * factor:g}"')
+    text = text.replace('radius=".03" length="0.12"', f'radius="{0.03 * factor:g}" length="{0.12 * factor:g}"')
+    notes = noted(urdf(text), home=[0, 0.3, 0.3, 0, 0, 0])
+    assert says in notes
+    assert ("URDFs are in metres" in notes) == bool(says)
+
+
+def test_shapes_in_millimetres_on_an_arm_in_metres_are_suspected(urdf):
+    text = chain().replace('length="0.12"', 'length="120"').replace('radius=".03"', 'radius="30"')
+    with pytest.raises(ConfigurationError, match="in the floor"):
+        load_arm(urdf(text))
+    upper = link("l6", '<cylinder radius="2" length="10"/>')
+    assert "Link 'l6' is" in noted(
+        urdf(mounted("0 0 12").replace(link("l6", '<cylinder radius=".03" length="0.12"/>'), upper))
+    )
+
+
+LEFTOVERS = {
+    "macro": ("</robot>", '<xacro:gripper parent="tool"/></robot>'),
+    "property": ("<link ", '<xacro:property name="speed" value="2"/><link '),
+    "old namespace": ("</robot>", '<x:arm xmlns:x="http://ros.org/wiki/xacro"/></robot>'),
+    "expression": ('velocity="3"', 'velocity="${speed}"'),
+    "argument": ('velocity="3"', 'velocity="$(arg speed)"'),
+    "path": ('<cylinder radius=".03" length="0.12"/>', '<mesh filename="file://$(find own)/l.stl"/>'),
+}
+
+
+@pytest.mark.parametrize("declared", [True, False])
+@pytest.mark.parametrize(("old", "new"), LEFTOVERS.values(), ids=LEFTOVERS)
+def test_leftovers_of_xacro_are_refused(urdf, old, new, declared):
+    space = ' xmlns:xacro="http://www.ros.org/wiki/xacro"' if declared else ""
+    text = chain().replace('<robot name="chain">', f'<robot name="chain"{space}>')
+    load_arm(urdf(text))  # the name space alone is in every file that xacro has written
+    with pytest.raises(
+        ConfigurationError, match=r"arm\.urdf is a xacro file, or has leftovers.*xacro arm\.urdf\.xacro >"
+    ):
+        load_arm(urdf(text.replace(old, new, 1)))
+
+
+def test_a_xacro_file_is_named_as_one(tmp_path):
+    (tmp_path / "arm.urdf.xacro").write_text("<robot/>")
+    with pytest.raises(ConfigurationError, match="is a xacro file"):
+        load_arm(tmp_path / "arm.urdf.xacro")
+
+
+def test_elements_beside_links_and_joints_are_told(urdf):
+    extra = '<gripper parent="tool"/><loop_joint name="l"/><transmission name="t"/><material name="grey"/>'
+    notes = noted(
+        urdf(chain().replace("</robot>", f"{extra}</robot>").replace('name="chain"', 'name="chain" units="mm"'))
+    )
+    assert "Not read: <gripper>, <loop_joint>, units='mm' of <robot>." in notes

@@ -20,9 +20,16 @@ from armctl.kernels.drives import DRIVE
 from armctl.robot_description.builtin import BUILTIN_ARMS, MAX_ACCELERATION
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing, posture_above_floor
-from armctl.robot_description.notes import in_words, note_on_home, notes_on_kinematics, notes_on_pairs, tell
+from armctl.robot_description.notes import (
+    in_words,
+    note_on_home,
+    notes_on_assumptions,
+    notes_on_model,
+    notes_on_pairs,
+    tell,
+)
 from armctl.robot_description.urdf import Shape, Urdf
-from armctl.robot_description.xml_file import impossible_pairs
+from armctl.robot_description.xml_file import impossible_pairs, needs_xacro
 
 MAX_JERK = 300.0
 """rad/s^3: default; reaches that acceleration within 50 ms"""
@@ -124,6 +131,8 @@ def load_arm(
         raise ConfigurationError(f"robot should be a name, a path or an ArmDescription, not {robot!r}")
     else:
         path = Path(robot)
+        if path.suffix.lower() == ".xacro":
+            raise ConfigurationError(needs_xacro(path, path.suffix))
         if path.suffix.lower() not in (".urdf", ".xml"):
             raise unknown_name("robot", robot, [*BUILTIN_ARMS, "path/to/your.urdf"])
         path = _existing(path)
@@ -187,11 +196,17 @@ def _read_arm(
         raise ConfigurationError(f"{path.name} is not an arm that Pinocchio can model: {error}") from error
     if pairs.floor_depths:
         raise ConfigurationError(
-            f"{path.name} begins in the floor, the plane z = 0: at home, the collision capsules of these links are in it: "
-            f"{in_words(pairs.floor_depths)}. Give another home, in rad (`--set home=0,-1.2,...`, load_arm(home=...)), "
-            "or a root link that is higher."
+            f"{path.name} begins in the floor, the plane z = 0: at home, the capsules of these links are in it: "
+            f"{in_words(pairs.floor_depths)}. Give another home, in rad (`--set home=0,-1.2,...`, "
+            "load_arm(home=...)), or a root link that is higher."
         )
-    notes = () if builtin else (*source.notes, *notes_on_kinematics(text, source.tip), *notes_on_pairs(pairs))
+    assumed = notes_on_assumptions(
+        home_position if home is None else None,
+        MAX_ACCELERATION if max_acceleration == (MAX_ACCELERATION,) else None,
+        MAX_JERK if max_jerk == (MAX_JERK,) else None,
+    )
+    on_model = notes_on_model(text, source.tip, capsules)
+    notes = () if builtin else (*source.notes, *on_model, *notes_on_pairs(pairs), *assumed)
     tell(path, notes)
     return ArmDescription(
         name=source.name,

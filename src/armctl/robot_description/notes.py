@@ -5,18 +5,25 @@ Whoever loads a robot is told of them, and they are in its description, in a stu
 
 import multiprocessing
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pinocchio
 
 from armctl.core.arrays import Array
+from armctl.robot_description.capsules import Capsule
 from armctl.robot_description.collision_pairs import CollisionPairs, link_frame
 
 POSTURES = 32
 """Random configurations on which an arm is examined."""
 RANK = 1e-4
 """m/rad and rad/rad: a direction in which no joint moves the end-effector faster is not commanded."""
+
+SHORTEST, LONGEST = 0.05, 10.0
+"""m: an arm of another reach is suspected to be in other units."""
+HUGE = 5.0
+"""Reaches of an arm; a link that is longer is suspected to be in other units."""
 
 
 def tell(path: Path, notes: tuple[str, ...]) -> None:
@@ -26,8 +33,8 @@ def tell(path: Path, notes: tuple[str, ...]) -> None:
         warnings.warn_explicit(f"notes about the robot, which are in its results too:{text}", UserWarning, str(path), 0)
 
 
-def notes_on_kinematics(urdf: str, tip: str) -> list[str]:
-    """Return notes about what an arm's joints can do, by its URDF (`ArmDescription.urdf`) and end-effector link."""
+def notes_on_model(urdf: str, tip: str, capsules: tuple[Capsule, ...]) -> list[str]:
+    """Return notes about what an arm can do, by its URDF (`ArmDescription.urdf`), end-effector link and capsules."""
     model = pinocchio.buildModelFromXML(urdf)
     data, frame = model.createData(), link_frame(model, tip)
     low, high = np.maximum(model.lowerPositionLimit, -np.pi), np.minimum(model.upperPositionLimit, np.pi)
@@ -36,15 +43,56 @@ def notes_on_kinematics(urdf: str, tip: str) -> list[str]:
     jacobians = np.array([
         np.reshape(pinocchio.computeFrameJacobian(model, data, q, frame, frames), (6, model.nv)) for q in postures
     ])  # fmt: skip
-    directions, places = (_rank(part) for part in (jacobians, jacobians[:, :3]))
-    notes = []
+    torques = np.array([np.abs(pinocchio.computeGeneralizedGravity(model, data, q)) for q in postures]).max(axis=0)
+    return [*_directions(jacobians), *_lengths(model, frame, capsules), *_weak_joints(model, torques)]
+
+
+def _directions(jacobians: Array) -> Iterator[str]:
+    directions, places = (int(np.linalg.matrix_rank(part, RANK).max()) for part in (jacobians, jacobians[:, :3]))
     if directions < 6:
         position = f", of its position {places} of 3" if places < 3 else ""
-        notes.append(
-            f"The arm's joints ({model.nv}) command {directions} of the 6 directions of its end-effector{position}: "
-            "poses are reached only where these suffice."
+        yield (
+            f"The arm's joints ({jacobians.shape[-1]}) command {directions} of the 6 directions of its "
+            f"end-effector{position}: poses are reached only where these suffice."
         )
-    return notes
+
+
+def _lengths(model: pinocchio.Model, frame: int, capsules: tuple[Capsule, ...]) -> Iterator[str]:
+    placements = [*model.jointPlacements[2:], model.frames[frame].placement]
+    reach = float(np.linalg.norm([placement.translation for placement in placements], axis=1).sum())
+    if not SHORTEST <= reach <= LONGEST:
+        yield f"The arm is {reach:.3g} m long: are its lengths in other units? URDFs are in metres."
+    moving = [capsule for capsule in capsules if model.frames[link_frame(model, capsule.link)].parentJoint > 0]
+    extents = {
+        capsule.link: float(np.linalg.norm(np.subtract(capsule.end, capsule.start))) + 2 * capsule.radius
+        for capsule in moving
+    }
+    if huge := [link for link, extent in extents.items() if extent > max(HUGE * reach, SHORTEST)]:
+        yield (
+            f"Link {huge[0]!r} is {extents[huge[0]]:.3g} m long, on an arm of {reach:.3g} m: are its shapes, or those "
+            'of other links, in other units? URDFs are in metres; meshes in millimetres need scale="0.001 0.001 0.001".'
+        )
+
+
+def _weak_joints(model: pinocchio.Model, torques: Array) -> Iterator[str]:
+    weak = np.flatnonzero(torques > model.effortLimit)
+    if len(weak):
+        joint = int(weak[0])
+        yield (
+            f"Joint {model.names[1 + joint]!r} needs up to {torques[joint]:.3g} N m against gravity, and may use "
+            f"{model.effortLimit[joint]:.3g} N m ({len(weak)} joints like it): the arm cannot hold itself everywhere."
+        )
+
+
+def notes_on_assumptions(home: Array | None, acceleration: float | None, jerk: float | None) -> list[str]:
+    """Return notes about values that nobody gave, None for those that were given: rad, rad/s^2, rad/s^3."""
+    values = {
+        "home (rad)": None if home is None else ", ".join(f"{position:g}" for position in home),
+        "acceleration limits (rad/s^2)": acceleration and f"{acceleration:g}",
+        "jerk limits (rad/s^3)": jerk and f"{jerk:g}",
+    }
+    assumed = [f"{name} {value}" for name, value in values.items() if value is not None]
+    return [f"Assumed, since a URDF does not say: {'; '.join(assumed)}."] if assumed else []
 
 
 def note_on_home(home: Array, depths: dict[str, float]) -> str:
@@ -77,8 +125,3 @@ def notes_on_pairs(pairs: CollisionPairs) -> list[str]:
         for reason, left_out in reasons.items()
         if left_out
     ]
-
-
-def _rank(jacobians: Array) -> int:
-    """Return the number of directions that Jacobians (n, k, dof) command anywhere."""
-    return int(np.linalg.matrix_rank(jacobians, RANK).max())

@@ -6,7 +6,6 @@ crash on a malformed one.
 
 import itertools
 import math
-import reprlib
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator
@@ -20,8 +19,9 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.robot_description.collision_pairs import FLOOR
+from armctl.robot_description.file_notes import notes_on_file
 from armctl.robot_description.meshes import MeshError, Meshes
-from armctl.robot_description.xml_file import Element, read_xml
+from armctl.robot_description.xml_file import Element, read_xml, short
 
 FULL_TURN = 2 * math.pi
 
@@ -78,6 +78,7 @@ class Urdf:
         self._chain = self._movable_chain()
         self.joints = tuple(joint.get("name", "") for joint in self._chain)
         self._check_inertia()
+        self.notes += notes_on_file(self._robot, self._chain)
 
     def limits(self) -> Array:
         """Lower and upper position, velocity and effort limits of the chain's joints, (4, dof): rad, rad/s, N m."""
@@ -171,6 +172,11 @@ class Urdf:
             if link not in joint_above:
                 break
             joint = joint_above[link]
+            if joint.get("type") != "fixed" and (mimic := joint.find("mimic")) is not None:
+                raise self._error(
+                    f"joint {joint.get('name')!r} between root and tip mimics {short(mimic.get('joint', ''))}, and "
+                    "armctl has a motor for each joint: choose a tip before it, or make it fixed"
+                )
             if joint.get("type") in ("revolute", "continuous"):
                 chain.insert(0, joint)
             elif joint.get("type") != "fixed":
@@ -314,11 +320,6 @@ def _principal(moments: dict[str, float]) -> Array:
 def _end(joint: Element, tag: str) -> str:
     element = joint.find(tag)
     return "" if element is None else element.get("link", "")
-
-
-def short(text: str) -> str:
-    """Return a text from a file as messages show it: quoted, and not too long."""
-    return reprlib.repr(text)
 
 
 def _rings(shape: str, radius: float, half_length: float, points: int = 24) -> Iterator[tuple[float, float, float]]:

@@ -1,5 +1,6 @@
 """Reads the XML of robot files, URDF and SRDF, within limits: such a file may come from a stranger."""
 
+import reprlib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -19,7 +20,13 @@ def read_xml(path: Path) -> Element:
     try:
         content = bounded_bytes(path, MAX_BYTES)
         root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_Limited(path.name)))
-    except (ElementTree.ParseError, OSError, ValueError, LookupError) as error:
+        if leftover := _of_xacro(root):
+            raise ConfigurationError(needs_xacro(path, leftover))
+    except ElementTree.ParseError as error:
+        unbound = "unbound prefix" in str(error) and b"<xacro:" in content
+        problem = needs_xacro(path, "<xacro:...>") if unbound else f"{path.name} cannot be read as XML: {error}"
+        raise ConfigurationError(problem) from error
+    except (OSError, ValueError, LookupError) as error:
         if isinstance(error, ConfigurationError):
             raise
         raise ConfigurationError(f"{path.name} cannot be read as XML: {error}") from error
@@ -28,6 +35,29 @@ def read_xml(path: Path) -> Element:
             f"{path.name} is not a URDF or SRDF: its root element is <{root.tag[:40]}>, not <robot>"
         )
     return root
+
+
+def needs_xacro(path: Path, leftover: str) -> str:
+    """Return why a xacro file is refused, and what helps."""
+    return (
+        f"{path.name} is a xacro file, or has leftovers of one ({leftover}): expand it first, `xacro arm.urdf.xacro > "
+        "arm.urdf`; without ROS, `pip install xacrodoc` and `xacrodoc arm.urdf.xacro -o arm.urdf`"
+    )
+
+
+def short(text: str) -> str:
+    """Return a text from a file as messages show it: quoted, and not too long."""
+    return reprlib.repr(text)
+
+
+def _of_xacro(root: Element) -> str | None:
+    """Return an element or an expression of xacro's in a file, if there is one in what is read."""
+    spaces = (element.tag.rpartition("}") for element in root.iter())
+    if name := next((name for space, _, name in spaces if "xacro" in space or name.startswith("xacro:")), None):
+        return f"<xacro:{name[:40]}>"
+    parts = [part for part in root if part.tag in ("link", "joint")]
+    values = (value for part in parts for element in part.iter() for value in element.attrib.values())
+    return next((short(value) for value in values if "${" in value or "$(" in value), None)
 
 
 def impossible_pairs(srdf: Path) -> set[frozenset[str]]:
