@@ -53,7 +53,7 @@ def results(draw):
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)))
 def test_it_holds_what_was_written(found, tmp_path, monkeypatch):
-    monkeypatch.setattr(rows_module, "AT_ONCE", 3)
+    monkeypatch.setattr(rows_module, "ROWS_AT_ONCE", 3)
     write(tmp_path, found)
     same(read_cell(tmp_path).episodes, found)
 

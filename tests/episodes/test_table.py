@@ -72,6 +72,19 @@ def test_lists_of_numbers_are_taken_in_any_order():
     assert taken.lengths.tolist() == [1, 2, 0, 1]
 
 
+def test_each_column_is_allocated_once(tmp_path, monkeypatch):
+    """Not for every few rows: reading would take longer with the square of the episodes."""
+    monkeypatch.setattr(rows, "ROWS_AT_ONCE", 10)
+    with one_cell(tmp_path, OWN, 500) as log:
+        for result in played(500):
+            log.write(result)
+    sizes = []
+    allocate = np.empty
+    monkeypatch.setattr(np, "empty", lambda shape, *kind: sizes.append(shape) or allocate(shape, *kind))
+    assert len(read_cell(tmp_path).episodes) == 500
+    assert 0 < sizes.count(500) <= len(rows.COLUMNS)
+
+
 @pytest.mark.slow
 def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     """By what is allocated, which is the same on each machine: between a small table and a larger one.
@@ -80,7 +93,7 @@ def test_memory_grows_little_with_the_episodes(tmp_path, monkeypatch):
     """
     monkeypatch.setattr(statistics, "LARGEST_BATCH", 1)
     monkeypatch.setattr(statistics, "DRAWS", 50)
-    monkeypatch.setattr(rows, "AT_ONCE", 200)
+    monkeypatch.setattr(rows, "ROWS_AT_ONCE", 200)
     policies = dict.fromkeys("ab", UNTRAINED_POLICY)
     peaks = []
     for episodes in (500, 2_500):

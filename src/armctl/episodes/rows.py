@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.envs import ERROR
 from armctl.episodes.record import LARGEST_RETURN, EpisodeResult
-from armctl.episodes.table import AT_ONCE, TYPES, EpisodeTable, Ragged, column
+from armctl.episodes.table import TYPES, EpisodeTable, Ragged, column
 
 TEXTS = ("policy", "outcome", "run", "terms")
 """Columns of numbers of texts; `terms` is the names of the reward terms, a JSON list."""
@@ -33,6 +33,8 @@ _TICKS = 1e4
 """Number of ticks in 1 ms."""
 _WIDTHS = {2: ("<u2", 2**16 - 1), 4: ("<i4", -1)}
 """Types of decision times in ticks, by their bytes, with the number in place of NaN."""
+ROWS_AT_ONCE = 1_000
+"""Rows that are read together: values of more do not stay in the processor's cache."""
 _PACKED = struct.Struct(f"<{len(TEXTS) + len(INTEGERS)}q{len(NUMBERS)}d")
 
 
@@ -101,9 +103,10 @@ def table_of_rows(
         if policies is not None:
             _check_possible(checked, policies)
         for name, values in checked.items():
-            size = {"reward_terms": sizes.rewards, "decision_ms": sizes.decisions}.get(name, sizes.rows)
-            target = columns.setdefault(name, np.empty(size, values.dtype))
-            target[ends[name] : (end := ends[name] + len(values))] = values
+            if name not in columns:
+                size = {"reward_terms": sizes.rewards, "decision_ms": sizes.decisions}.get(name, sizes.rows)
+                columns[name] = np.empty(size, values.dtype)
+            columns[name][ends[name] : (end := ends[name] + len(values))] = values
             ends[name] = end
     if not columns:
         return EpisodeTable()
@@ -145,7 +148,7 @@ def _no_times(values: Array) -> NDArray[np.bool_]:
 
 def _batches(rows: Iterable[Sequence[Any]]) -> Iterator[list[Sequence[Any]]]:
     remaining = iter(rows)
-    while batch := list(itertools.islice(remaining, AT_ONCE)):
+    while batch := list(itertools.islice(remaining, ROWS_AT_ONCE)):
         yield batch
 
 
