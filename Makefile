@@ -30,8 +30,9 @@ compare: $(VENV)/core
 test: $(VENV)/full
 	$(PYTEST) $(ARGS)
 
+# Three at once on two cores, as slow tests often wait for what they have started.
 test-all: $(VENV)/full
-	$(PYTEST) --all $(ARGS)
+	$(PYTEST) --numprocesses 3 --all $(ARGS)
 
 test-thorough: $(VENV)/full
 	$(PYTEST) --all --thorough -m thorough $(ARGS)

@@ -82,7 +82,8 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.skip(reason=missing[0]))
             missing = []
         (kept if is_asked_for and not missing else left_out).append(item)
-    items[:] = kept
+    # Files beside the folders have the longest tests: begun last, one of them would keep a single worker busy.
+    items[:] = sorted(kept, key=lambda item: len(item.path.parts))
     config.hook.pytest_deselected(items=left_out)
 
 

@@ -1,7 +1,9 @@
-"""Runs the examples of a page in their order, each in a fork of this process, which has imported armctl already.
+"""Runs the examples of pages in their order, each in a fork of this process, which has imported armctl already.
 
-So each begins as in a process of its own, but for the seconds of imports. The working directory is theirs. Standard
-input is a JSON list of `["file", NAME, TEXT]`, `["python", CODE]` and `["command", WORD, ...]`. See `test_docs.py`.
+So each begins as in a process of its own, but for the seconds of imports. Each line of standard input is a page: a JSON
+list of its folder, in which its examples work, and of their list: `["file", NAME, TEXT]`, `["python", CODE]` and
+`["command", WORD, ...]`. What they print goes to `printed.txt` beside the folder; the answer is a line with 0 if all
+went well. See `test_docs.py`.
 """
 
 import json
@@ -34,20 +36,29 @@ def command(*words):
     main()
 
 
+def page(folder, steps):
+    """Run a page's examples up to the first that fails."""
+    with open(os.devnull) as nothing, Path(folder).with_name("printed.txt").open("w") as printed:
+        for stream, file in enumerate((nothing, printed, printed)):
+            os.dup2(file.fileno(), stream)
+    os.chdir(folder)
+    for kind, *given in steps:
+        print("+", *given, flush=True)
+        if kind == "file":
+            Path(given[0]).write_text(given[1])
+        elif status := apart({"python": python, "command": command}[kind], *given):
+            os._exit(status)
+
+
 def apart(run, *given):
-    """Run it in a fork, which ends like any process, and end with it if it fails."""
-    print("+", *given, flush=True)
+    """Run it in a fork, which ends like any process, and return its status."""
     fork = os.fork()
     if not fork:
         run(*given)
         sys.exit()
-    if os.waitpid(fork, 0)[1]:
-        sys.exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1])
 
 
 if __name__ == "__main__":
-    for kind, *given in json.load(sys.stdin):
-        if kind == "file":
-            Path(given[0]).write_text(given[1])
-        else:
-            apart({"python": python, "command": command}[kind], *given)
+    for line in sys.stdin:
+        print(apart(page, *json.loads(line)), flush=True)

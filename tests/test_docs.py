@@ -11,6 +11,7 @@ import importlib.util
 import json
 import os
 import re
+import select
 import shlex
 import subprocess
 import sys
@@ -88,10 +89,21 @@ def test_every_block_says_what_it_is(page):
             compile(text, page.name, "exec")
 
 
+@pytest.fixture(scope="module")
+def runner():
+    """A process that runs pages: see `run_page.py`."""
+    command = [sys.executable, "-P", "-W", "error::DeprecationWarning", str(ROOT / "tests" / "run_page.py")]
+    env = os.environ | {"COLUMNS": "100"}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env) as process:
+        yield process
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)], ids=name_of)
-def test_examples_run(page, tmp_path):
-    (tmp_path / "docs").symlink_to(ROOT / "docs")
+def test_examples_run(page, tmp_path, runner):
+    folder = tmp_path / "page"
+    folder.mkdir()
+    (folder / "docs").symlink_to(ROOT / "docs")
     steps: list[tuple[str, ...]] = []
     for kind, note, text in to_run(page):
         if note:
@@ -100,12 +112,10 @@ def test_examples_run(page, tmp_path):
             steps.append(("python", text))
         else:
             steps += [("command", *words) for words in commands(text)]
-    command = [sys.executable, "-P", "-W", "error::DeprecationWarning", str(ROOT / "tests" / "run_page.py")]
-    done = subprocess.run(
-        command, input=json.dumps(steps), capture_output=True, text=True, cwd=tmp_path,
-        env=os.environ | {"COLUMNS": "100"}, timeout=SECONDS,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    print(json.dumps([str(folder), steps]), file=runner.stdin, flush=True)
+    has_ended, _, _ = select.select([runner.stdout], [], [], SECONDS)
+    status = runner.stdout.readline() if has_ended else runner.kill()
+    assert status == "0\n", (tmp_path / "printed.txt").read_text()[-6000:]
 
 
 @each_page

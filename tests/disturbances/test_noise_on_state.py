@@ -63,7 +63,7 @@ def test_it_is_the_same_with_any_number_of_worlds_and_nothing_else_changes():
 def compared(policies, env, disturbances, steps, episodes):
     """A comparison, which is played once."""
     options = {"max_episode_steps": steps, "disturbances": dict(disturbances)}
-    return compare(policies, env, episodes=episodes, env_options=options)
+    return compare(policies, env, episodes=episodes, worlds=episodes, env_options=options)
 
 
 def differing(policies, env, disturbance, level, steps=25, episodes=2):

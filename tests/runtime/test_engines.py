@@ -107,26 +107,34 @@ def answers(port):
         return one.connect_ex(("127.0.0.1", port)) == 0
 
 
-@pytest.fixture
-def ray_folder():
-    """One of Ray's own: its sockets' paths must not be long."""
-    with tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder:
-        yield folder
-
-
-@pytest.fixture
-def ray_cluster(ray_folder, processes):
-    """The address of a cluster of two nodes, each with a core, and the second node's process."""
+@pytest.fixture(scope="module")
+def ray_head(tmp_path_factory):
+    """The port of a node of Ray with a core, to which others can come, and the address for clients."""
     port, client = free_port(), 9000 + free_port() % 900
-    quiet = {"RAY_USAGE_STATS_ENABLED": "0"}
-    common = ["--num-cpus=1", "--block", "--disable-usage-stats", f"--temp-dir={ray_folder}"]
-    head = ["--head", "--node-ip-address=127.0.0.1", f"--port={port}", f"--ray-client-server-port={client}"]
-    processes.start(BIN / "ray", "start", *head, "--include-dashboard=false", *common, environment=quiet)
-    address = f"ray://127.0.0.1:{client}"
-    until(lambda: answers(client) and _workers(address) == 1, "Ray's head")
-    node = processes.start(BIN / "ray", "start", f"--address=127.0.0.1:{port}", *common[:-1], environment=quiet)
-    until(lambda: _workers(address) == 2, "Ray's second node")
+    nodes = ["--head", "--node-ip-address=127.0.0.1", f"--port={port}", f"--ray-client-server-port={client}"]
+    with (
+        tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder,  # sockets' paths are short
+        servers(tmp_path_factory.mktemp("head")) as started,
+    ):
+        start_ray(started, *nodes, "--include-dashboard=false", f"--temp-dir={folder}")
+        yield port, f"ray://127.0.0.1:{client}"
+
+
+@pytest.fixture
+def ray_cluster(ray_head, processes):
+    """The address of a cluster of two nodes, each with a core, and the second node's process."""
+    port, address = ray_head
+    until(lambda: _workers(address) == 1, "Ray's head")
+    node = start_ray(processes, f"--address=127.0.0.1:{port}")
+    with connect(address) as engine:  # once: for each client, Ray starts an interpreter
+        until(lambda: engine.count() == 2, "Ray's second node")  # type: ignore[attr-defined]
     return address, node
+
+
+def start_ray(processes, *options):
+    common = ["--num-cpus=1", "--block", "--disable-usage-stats"]
+    quiet = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
+    return processes.start(BIN / "ray", "start", *options, *common, environment=quiet)
 
 
 def _workers(address):

@@ -175,7 +175,7 @@ def test_a_window_without_a_screen_is_a_clear_error(tmp_path):
 
 def picture(page):
     """What the page shows of the world, beside the panel, (height, width, 3)."""
-    return imageio.imread(BytesIO(screenshot(page)))[:-40, 380:, :3].astype(int)
+    return imageio.imread(BytesIO(screenshot(page)))[:-20, 190:, :3].astype(int)
 
 
 def screenshot(page, attempts=20):
@@ -246,7 +246,7 @@ def test_uploads_and_long_messages_do_not_fill_the_memory(tmp_path):
 def test_the_robot_moves_on_the_page_and_no_request_leaves_the_machine(chromium, tmp_path):
     addresses = []
     with viewing(tmp_path, "reach_mpc", "--env", "armctl/ArmReachMoving-v0") as (_, address, port):
-        page = chromium.new_page(viewport={"width": 800, "height": 500})
+        page = chromium.new_page(viewport={"width": 800, "height": 500}, device_scale_factor=0.5)
         page.on("request", lambda request: addresses.append(request.url))
         page.on("websocket", lambda connection: addresses.append(connection.url))
         page.goto(address, wait_until="commit", timeout=120_000)
