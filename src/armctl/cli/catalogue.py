@@ -52,9 +52,9 @@ def _everything() -> Iterable["RenderableType"]:
     from armctl.envs.find import find_spec
     from armctl.policies.catalogue import listed_policies, policies_of, task_values
     from armctl.robot_description.builtin import BUILTIN_ARMS
-    from armctl.training.learners import learner_names, load_recipe, recipe_names
+    from armctl.training.learners import learner_names, readable_recipes
 
-    policies, recipes = listed_policies(), [load_recipe(name) for name in recipe_names()]
+    policies, recipes = listed_policies(), readable_recipes()
     for env in environment_names():
         spec = find_spec(env)
         try:

@@ -1,13 +1,11 @@
 """Completions by Tab, after `armctl --install-completion`: names that are found without loading a simulator."""
 
 from collections.abc import Iterable
-from importlib.util import find_spec
-from pathlib import Path
 
 from typer import Context
 
 from armctl import DEFAULT_ENV
-from armctl.core.registration import environment_names, files_beside, installed
+from armctl.core.registration import environment_names, files_beside, files_within, installed
 from armctl.robot_description.builtin import BUILTIN_ARMS
 
 
@@ -32,10 +30,7 @@ def agents(incomplete: str) -> list[str]:
 
 def recipes(incomplete: str) -> list[str]:
     """Names of recipes and learners."""
-    homes = [find_spec(entry.module) for entry in installed("armctl.recipes")]
-    folders = [Path(folder) for home in homes if home for folder in home.submodule_search_locations or ()]
-    named = [file.stem for folder in folders for file in folder.glob("*.toml")]
-    return _starting({*named, *installed("armctl.learners").names}, incomplete)
+    return _starting({*files_within("armctl.recipes", ".toml"), *installed("armctl.learners").names}, incomplete)
 
 
 def tunable(incomplete: str) -> list[str]:

@@ -14,16 +14,17 @@ import sys
 import warnings
 import zlib
 from collections.abc import Iterator
-from importlib.metadata import EntryPoints, entry_points
+from importlib.machinery import ModuleSpec
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import gymnasium
 
-from armctl.core.errors import FAILURES, ConfigurationError, described, unknown_name
+from armctl.core.errors import FAILURES, ConfigurationError, described, missing_extra, unknown_name
 
-GROUP = "armctl.tasks"
+GROUP, PACKAGE = "armctl.tasks", "armctl."
 ENV, VECTOR_ENV = "armctl.envs:TaskEnv", "armctl.envs:TaskVectorEnv"
 _named: set[str] = set()
 """Names that the user has used in this process, such as `mine.py:pd`. A file can name no other code."""
@@ -74,14 +75,14 @@ def register_installed() -> None:
 
 @functools.cache
 def installed(group: str) -> EntryPoints:
-    """Return what all installed packages offer under an entry-point group."""
-    return entry_points(group=group)
+    """Return what all installed packages offer under an entry-point group. No other package replaces armctl's own."""
+    return EntryPoints(sorted(entry_points(group=group), key=lambda entry: not entry.value.startswith(PACKAGE)))
 
 
-def load_installed(group: str, name: str, kind: str) -> Any:
+def load_installed(group: str, name: str, kind: str, extra_for: str = "") -> Any:
     """Return what is installed under a name in an entry-point group; messages call it a `kind`.
 
-    Raises `ConfigurationError`, whatever its module raises.
+    `extra_for` is what armctl's own needs the extra `rl` for. Raises `ConfigurationError`, whatever its module raises.
     """
     entries = installed(group)
     if name not in entries.names:
@@ -91,14 +92,31 @@ def load_installed(group: str, name: str, kind: str) -> Any:
     except ConfigurationError:
         raise
     except FAILURES as error:
+        if extra_for and isinstance(error, ModuleNotFoundError) and entries[name].value.startswith(PACKAGE):
+            raise missing_extra(extra_for, error) from error
         raise ConfigurationError(f"cannot load the {kind} {name}: {described(error)}") from error
+
+
+def module_spec(entry: EntryPoint) -> ModuleSpec | None:
+    """Return where the module of an entry point is, without importing it; None: nowhere, or its package is broken."""
+    try:
+        return importlib.util.find_spec(entry.module)
+    except FAILURES:  # of the packages above it, which are imported
+        return None
 
 
 def files_beside(group: str, suffix: str) -> dict[str, Path]:
     """Return files `NAME` + `suffix` beside the modules of what is installed in a group, by name. Imports no module."""
-    homes = {entry.name: importlib.util.find_spec(entry.module) for entry in installed(group)}
+    homes = {entry.name: module_spec(entry) for entry in installed(group)}
     files = {name: Path(home.origin).with_name(name + suffix) for name, home in homes.items() if home and home.origin}
     return {name: file for name, file in files.items() if file.exists()}
+
+
+def files_within(group: str, suffix: str) -> dict[str, Path]:
+    """Return files `NAME` + `suffix` in the packages that are installed in a group, by name. Imports no package."""
+    homes = [home for entry in installed(group) if (home := module_spec(entry))]
+    folders = [Path(folder) for home in homes for folder in home.submodule_search_locations or ()]
+    return {file.stem: file for folder in reversed(folders) for file in folder.glob(f"*{suffix}")}
 
 
 def load_task(task: "str | type[Any]") -> type[Any]:

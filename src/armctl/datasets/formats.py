@@ -1,9 +1,11 @@
 """Formats in which `collect` writes datasets: modules, which packages offer in the entry-point group of `FORMATS`."""
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from armctl.core.errors import ConfigurationError
 from armctl.core.registration import installed, load_installed
 from armctl.datasets.demonstrations import Demonstration
 from armctl.envs import EpisodeVectorEnv
@@ -39,5 +41,9 @@ def load_format(name: str) -> Format:
 
 
 def load_formats() -> dict[str, Format]:
-    """Return all installed formats by name. Raises `ConfigurationError`."""
-    return {name: load_format(name) for name in sorted(installed(FORMATS).names)}
+    """Return all installed formats by name; those of a package that is broken are left out."""
+    formats = {}
+    for name in sorted(installed(FORMATS).names):
+        with contextlib.suppress(ConfigurationError):
+            formats[name] = load_format(name)
+    return formats

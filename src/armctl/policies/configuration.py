@@ -22,7 +22,7 @@ from armctl.agents.costs import TuningCost
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.files import read_toml
 from armctl.core.options import checked_model
-from armctl.core.registration import files_beside, installed
+from armctl.core.registration import files_beside, installed, load_installed
 from armctl.policies.names import GROUP
 
 SUFFIX = ".toml"
@@ -46,7 +46,7 @@ class PolicyConfiguration(BaseModel):
 
     def make(self) -> Callable[..., Any]:
         """Return the function that makes the policy so. Raises `ConfigurationError` if it takes no options."""
-        factory = installed(GROUP)[self.policy].load()
+        factory = load_installed(GROUP, self.policy, "policy")
         if "options" not in inspect.signature(factory).parameters:
             raise ConfigurationError(
                 f"{self.policy} takes no options; those that do: {', '.join(sorted(configurations()))}"

@@ -13,7 +13,7 @@ import gymnasium
 from armctl.agents import FILES, load_agent
 from armctl.agents.costs import UNTRAINED
 from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described
-from armctl.core.registration import import_attribute, installed
+from armctl.core.registration import import_attribute, load_installed
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, TaskEnv, chosen_policy_seed
 from armctl.policies.configuration import configured, tuning_of
 from armctl.policies.names import GROUP, agent_cards, check_policy_name, declared_sees, policy_names, with_agent
@@ -125,6 +125,6 @@ def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStre
     if (configuration := configured(name)) is not None:
         return adapted(configuration.make(), worlds, name, streams)
     if name in policy_names():
-        return adapted(installed(GROUP)[name].load(), worlds, name, streams)
+        return adapted(load_installed(GROUP, name, "policy"), worlds, name, streams)
     check_policy_name(name)
     return adapted(import_attribute(name, "policy"), worlds, name, streams)

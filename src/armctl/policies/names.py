@@ -6,7 +6,7 @@ from pathlib import Path
 
 from armctl.agents import CARD
 from armctl.core.errors import ConfigurationError, unknown_name
-from armctl.core.registration import files_beside, installed
+from armctl.core.registration import files_beside, installed, load_installed
 from armctl.policies.declare import declared
 
 GROUP = "armctl.policies"
@@ -24,12 +24,12 @@ def policy_names() -> list[str]:
 
 def describe_policy(name: str) -> str:
     """Return the first line of the docstring of an installed policy's factory."""
-    return (inspect.getdoc(installed(GROUP)[name].load()) or "").partition("\n")[0]
+    return (inspect.getdoc(load_installed(GROUP, name, "policy")) or "").partition("\n")[0]
 
 
 def declared_sees(name: str) -> str:
     """Return what an installed policy declares to see: a key of `armctl.envs.SEES`."""
-    return declared(installed(GROUP)[name].load())
+    return declared(load_installed(GROUP, name, "policy"))
 
 
 def agent_cards() -> dict[str, Path]:

@@ -18,7 +18,7 @@ from gymnasium.envs.registration import load_env_creator
 from armctl.agents import OnnxPolicy
 from armctl.core.errors import ConfigurationError
 from armctl.core.files import short_checksum
-from armctl.core.registration import import_attribute, import_named, installed
+from armctl.core.registration import import_attribute, import_named, load_installed
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
 from armctl.policies import GROUP, Policy, configured, policy_names
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
@@ -197,7 +197,7 @@ def _definition(policy: Any) -> Any:
     if (configuration := configured(name)) is not None:
         return configuration.make()
     if name in policy_names():
-        return installed(GROUP)[name].load()
+        return load_installed(GROUP, name, "policy")
     return import_attribute(name, "policy") if ":" in name else None
 
 

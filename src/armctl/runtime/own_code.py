@@ -26,7 +26,7 @@ def is_plugin(module: ModuleType) -> bool:
 
 @functools.cache
 def _plugins() -> tuple[str, ...]:
-    return tuple({f"{entry.module.rpartition('.')[0]}." for entry in installed(GROUP)})
+    return tuple({f"{entry.value.partition(':')[0].rpartition('.')[0]}." for entry in installed(GROUP)})
 
 
 def in_plugin(path: PurePath) -> PurePath:

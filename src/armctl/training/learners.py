@@ -4,10 +4,10 @@ A package offers learners under the entry-point group `armctl.learners`, package
 `armctl.recipes`, and exporters, by the suffix of the files that they read, under `armctl.exporters`.
 """
 
+import contextlib
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
@@ -17,10 +17,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 from armctl import DEFAULT_ENV
 from armctl.agents import FILES, AgentCard
 from armctl.agents.costs import TuningCost
-from armctl.core.errors import ConfigurationError, missing_extra, unknown_name
+from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.files import checked_name, read_toml
 from armctl.core.options import checked_model, make_options
-from armctl.core.registration import check_named, installed
+from armctl.core.registration import check_named, files_within, installed, load_installed
 
 LEARNERS, RECIPES, EXPORTERS = "armctl.learners", "armctl.recipes", "armctl.exporters"
 
@@ -158,13 +158,7 @@ def learner_names() -> list[str]:
 
 def load_learner(name: str) -> Learner:
     """Return the installed learner of that name. Raises `ConfigurationError`, also without the extra `rl`."""
-    entries = installed(LEARNERS)
-    if name not in entries.names:
-        raise unknown_name("learner", name, entries.names)
-    try:
-        return entries[name].load()  # type: ignore[no-any-return]
-    except ModuleNotFoundError as error:
-        raise missing_extra("training", error) from error
+    return load_installed(LEARNERS, name, "learner", extra_for="training")  # type: ignore[no-any-return]
 
 
 def load_exporter(model: Path) -> Exporter:
@@ -173,15 +167,21 @@ def load_exporter(model: Path) -> Exporter:
     if suffix not in entries.names:
         allowed = ", ".join(f".{name}" for name in sorted(entries.names))
         raise ConfigurationError(f"{model} cannot be exported: models are files {allowed or 'of no kind'}")
-    try:
-        return entries[suffix].load()  # type: ignore[no-any-return]
-    except ModuleNotFoundError as error:
-        raise missing_extra("exporting", error) from error
+    return load_installed(EXPORTERS, suffix, "exporter", extra_for="exporting")  # type: ignore[no-any-return]
 
 
 def recipe_names() -> list[str]:
     """Names of all installed recipes."""
-    return sorted(_installed())
+    return sorted(files_within(RECIPES, ".toml"))
+
+
+def readable_recipes() -> list[Recipe]:
+    """Return all installed recipes but those of other packages that cannot be read."""
+    recipes = []
+    for name in recipe_names():
+        with contextlib.suppress(ConfigurationError):
+            recipes.append(load_recipe(name))
+    return recipes
 
 
 def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = None) -> Recipe:
@@ -191,7 +191,7 @@ def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = 
     learner's name without `env` means `DEFAULT_ENV`. Of several recipes for an environment, the one with the shortest
     name is taken, which is the plain one; without any, the learner's defaults are. Raises `ConfigurationError`.
     """
-    installed = _installed()
+    installed = files_within(RECIPES, ".toml")
     if Path(name).suffix == ".toml":
         recipe = _read(Path(name), Path(name).stem)
         if env is None:
@@ -208,17 +208,8 @@ def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = 
     return recipe.changed(**{key: value for key, value in overrides.items() if value is not None})
 
 
-def _installed() -> dict[str, Traversable]:
-    return {
-        file.name.removesuffix(".toml"): file
-        for package in installed(RECIPES)
-        for file in resources.files(package.value).iterdir()
-        if file.name.endswith(".toml")
-    }
-
-
 def _recipe_of(learner: str, env: str) -> Recipe:
-    suited = [recipe for recipe in map(load_recipe, recipe_names()) if (recipe.learner, recipe.env) == (learner, env)]
+    suited = [recipe for recipe in readable_recipes() if (recipe.learner, recipe.env) == (learner, env)]
     plain = Recipe(name=learner, learner=learner, env=env)
     return min(suited, key=lambda recipe: len(recipe.name), default=plain)
 
