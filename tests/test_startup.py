@@ -84,3 +84,18 @@ def test_a_mistake_is_told_before_anything_heavy_is_loaded(arguments, tmp_path):
     status, packages = loaded(arguments, tmp_path)
     assert status == 2
     assert not packages
+
+
+FIRST_EPISODE = """
+import sys, armctl
+armctl.compare(episodes=1, progress=lambda result: sys.exit(" ".join({heavy!r} & sys.modules.keys())))
+"""
+
+
+@pytest.mark.slow
+def test_the_first_episode_waits_for_no_statistics(tmp_path):
+    code = FIRST_EPISODE.replace("{heavy!r}", repr(HEAVY))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    packages = set(done.stderr.splitlines()[-1].split())
+    assert "mujoco" in packages
+    assert not packages & {"casadi", "jinja2", "joblib", "matplotlib", "ompl", "osqp", "plotly", "scipy.stats", "torch"}

@@ -3,9 +3,11 @@ import time
 import numpy as np
 import pinocchio
 import pytest
+from scipy.spatial.transform import Rotation
 
 from armctl.core.errors import ConfigurationError, UnreachableTarget
 from armctl.kinematics import ArmModel, Ik, IkOptions, closed_forms
+from armctl.kinematics.ik import random_orientations
 from armctl.robot_description import arm as arms
 
 from ..arms import named_arm
@@ -335,3 +337,10 @@ def test_free_configurations_are_free_and_there(make):
     assert np.mean([bool(ways) for ways in found]) >= 0.95
     for nowhere in (FAR, np.array([0.3, 0, -0.5])):  # the second lies below the floor
         assert not list(ik.free_configurations(nowhere))
+
+
+@pytest.mark.parametrize("n", [1, 16, 65])
+def test_random_orientations_are_bit_for_bit_those_of_scipy(n):
+    for seed in range(20):
+        expected = Rotation.random(n, rng=np.random.default_rng(seed)).as_matrix()
+        assert np.array_equal(random_orientations(n, np.random.default_rng(seed)), expected)

@@ -1,5 +1,13 @@
 """Path following, model predictive control and trajectory timing, independent of MuJoCo and Gymnasium."""
 
-from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
+from typing import TYPE_CHECKING
 
-__all__ = ["PursuitOptions", "RegulatedPurePursuit"]
+from armctl.core.lazy import on_first_use
+
+if TYPE_CHECKING:
+    from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
+    from armctl.control.reach_mpc import ReachMpc
+
+__all__ = ["PursuitOptions", "ReachMpc", "RegulatedPurePursuit"]
+
+__getattr__, __dir__ = on_first_use(__name__)

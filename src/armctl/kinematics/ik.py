@@ -14,7 +14,6 @@ from typing import Annotated, Protocol
 
 import numpy as np
 import pinocchio
-import scipy
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -84,6 +83,19 @@ class IkResult:
         return np.asarray(self.solutions[0])
 
 
+def random_orientations(n: int, rng: np.random.Generator) -> Array:
+    """Return uniform rotation matrices, (n, 3, 3): those of `scipy.spatial.transform`, which takes long to import."""
+    x, y, z, w = rng.normal(size=(n, 4)).T
+    x, y, z, w = np.array((x, y, z, w)) / np.sqrt(x * x + y * y + z * z + w * w)
+    xy, xz, xw, yz, yw, zw = x * y, x * z, x * w, y * z, y * w, z * w
+    columns = (
+        (x * x - y * y - z * z + w * w, 2 * (xy + zw), 2 * (xz - yw)),
+        (2 * (xy - zw), -x * x + y * y - z * z + w * w, 2 * (yz + xw)),
+        (2 * (xz + yw), 2 * (yz - xw), -x * x - y * y + z * z + w * w),
+    )
+    return np.array(columns).transpose(2, 1, 0).copy()
+
+
 class Ik:
     """Inverse kinematics of one arm."""
 
@@ -94,7 +106,7 @@ class Ik:
         """The closed form for positions as well, if it is of use for them."""
         rng = np.random.default_rng(self.options.rng_seed)
         self._random_starts = model.random_configurations(rng, self.options.starts)
-        self._orientations = scipy.spatial.transform.Rotation.random(self.options.starts, rng=rng).as_matrix()
+        self._orientations = random_orientations(self.options.starts, rng)
         self._full_turn = model.limits.upper - model.limits.lower >= 2 * np.pi - 1e-6
         if self._six_joints is not None and not self._reaches_own_positions():
             self._six_joints = None

@@ -15,8 +15,6 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Self
 
-import joblib
-
 from armctl.core.errors import ConfigurationError, described, missing_extra, unknown_name
 from armctl.runtime.sending import JobBundle
 from armctl.runtime.workers import Work, WorkersFailed, end_with_parent, environment_of, run_isolated
@@ -93,6 +91,8 @@ class Local(Engine):
 
     def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
         """Yield results; see `Engine`. Workers can use all that this process has imported or has in memory."""
+        import joblib  # a tenth of a second, which a single process does not need
+
         parallel = joblib.Parallel(
             self.workers,
             backend="loky",

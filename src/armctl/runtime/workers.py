@@ -16,8 +16,6 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
-from joblib.externals.loky import ProcessPoolExecutor
-
 from armctl.core.errors import FAILURES, ArmctlError, described
 from armctl.runtime.identity import checksum_of_core, differences
 from armctl.runtime.provenance import versions
@@ -67,6 +65,8 @@ class _Child:
     _present: "_Child | None" = None
 
     def __init__(self, bundle: JobBundle) -> None:
+        from joblib.externals.loky import ProcessPoolExecutor  # which only clusters' workers need
+
         self.bundle, self.root = bundle, Path(tempfile.mkdtemp(prefix="armctl-"))
         bundle.write(self.root)
         self.executor = ProcessPoolExecutor(1, initializer=_open, initargs=(os.getpid(), bundle, self.root))

@@ -1,11 +1,11 @@
-"""Potentials of bridge tasks for reward shaping, from planners."""
+"""Potentials of bridge tasks for reward shaping, from planners, which are imported when one is made."""
 
 from typing import Any
 
 import numpy as np
 
+from armctl import planning
 from armctl.core.arrays import Array
-from armctl.planning import Lattice, SpaceTime
 from armctl.tasks.task import Ids, Potential
 
 CLEARANCE = 0.36
@@ -18,7 +18,7 @@ class CrossingCostToGo(Potential):
     def __init__(self, task: Any) -> None:
         super().__init__(task)
         bridge = task.map(0)
-        self._lattice = Lattice(bridge.length, bridge.half_width)
+        self._lattice = planning.Lattice(bridge.length, bridge.half_width)
         self._lengths = np.zeros((len(task.state.poses), *self._lattice.shape))
 
     def begin(self, ids: Ids) -> None:
@@ -43,7 +43,7 @@ class CrossingTimeToGo(Potential):
     def __init__(self, task: Any) -> None:
         super().__init__(task)
         bridge, num_envs = task.map(0), len(task.state.poses)
-        self._space_time = SpaceTime(Lattice(bridge.length, bridge.half_width))
+        self._space_time = planning.SpaceTime(planning.Lattice(bridge.length, bridge.half_width))
         self._unhindered = np.zeros((num_envs, *self._space_time.lattice.shape))
         self._extra = np.zeros((num_envs, *self._space_time.shape), dtype=np.float32)
 

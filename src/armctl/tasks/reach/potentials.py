@@ -1,13 +1,12 @@
-"""Potentials of reach tasks for reward shaping, from experts."""
+"""Potentials of reach tasks for reward shaping, from experts, which are imported when one is made."""
 
 from typing import Any
 
 import numpy as np
 
-from armctl.control.reach_mpc import ReachMpc
+from armctl import control, planning
 from armctl.core.arrays import Array
 from armctl.kinematics import ArmModel, ReachabilityMap, ReachTimes, ReachTimesOptions, Spheres
-from armctl.planning import ArmPlanner
 from armctl.tasks.task import Ids, Potential
 
 QUICK = ReachTimesOptions(nearby=64, goals=8, iterations=1)
@@ -59,7 +58,7 @@ class MpcCost(Potential):
     def __init__(self, task: Any) -> None:
         super().__init__(task)
         model = ArmModel(task.arm.description)
-        self._map, self._mpc = ReachabilityMap(model), ReachMpc(model)
+        self._map, self._mpc = ReachabilityMap(model), control.ReachMpc(model)
         self._chosen = np.tile(model.home, (len(task.state.distance), 1))
 
     def begin(self, ids: Ids) -> None:
@@ -95,7 +94,7 @@ class PathCostToGo(Potential):
     def __init__(self, task: Any) -> None:
         super().__init__(task)
         self._model = ArmModel(task.arm.description)
-        self._planner = ArmPlanner(self._model)
+        self._planner = planning.ArmPlanner(self._model)
         n = len(task.state.distance)
         self._points, self._to_go = np.zeros((n, WAYPOINTS, self._model.dof)), np.zeros((n, WAYPOINTS))
         self._has_path = np.zeros((n, 1))
