@@ -3,6 +3,10 @@
 import re
 from pathlib import Path
 
+from armctl.core.registration import environment_names
+from armctl.policies import UNSKILLED, agent_cards, configurations, policy_names
+from armctl.robot_description import BUILTIN_ARMS
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
@@ -19,7 +23,12 @@ def test_it_leads_to_every_page_and_notebook():
     assert pages <= links
 
 
-def test_it_counts_the_agents():
-    agents = list((ROOT / "rl" / "agents").glob("*.json"))
-    assert len(agents) == 16
-    assert "sixteen trained ones" in README
+def test_it_counts_what_there_is():
+    numbers = {5: "five", 6: "six", 16: "sixteen"}
+    agents = agent_cards()
+    experts = set(policy_names()) - set(agents) - UNSKILLED - set(configurations())
+    assert (
+        f"`armctl list` shows all {numbers[len(environment_names())]} environments, {numbers[len(BUILTIN_ARMS)]} arms, "
+        f"{numbers[len(experts)]} experts and {numbers[len(agents)]} trained agents."
+    ) in README
+    assert f"{numbers[len(agents)]} trained ones" in README

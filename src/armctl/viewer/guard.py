@@ -40,6 +40,11 @@ HEADERS = {
 """Headers of each response, instead of Studio's: other pages can neither read nor frame it, nor learn the token."""
 
 
+STUDIO_TITLE = b"MuJoCo Web Viewer"
+TITLE = b"armctl".ljust(len(STUDIO_TITLE))
+"""Title of the page, instead of Studio's, and of the same length: the length has been announced."""
+
+
 class Guard:
     """Lets in who asks for an address of the page, from a page of that address or none, with the token.
 
@@ -66,6 +71,7 @@ class Guard:
 
         def response(connection: ServerConnection, request: Request, response: Response) -> Response:
             response = process_response(connection, request, response) or response
+            response.body = response.body.replace(STUDIO_TITLE, TITLE)
             for name, value in HEADERS.items():
                 if name in response.headers:
                     del response.headers[name]

@@ -7,7 +7,8 @@ from mujoco.studio import messages, sim
 
 from armctl.core.errors import ConfigurationError
 from armctl.simulation.rendering import has_screen
-from armctl.viewer.browser import Frame, Play, Player, rows_of
+from armctl.viewer.browser import Player
+from armctl.viewer.panel import Frame, Play, rows_of
 
 SPACE, RIGHT, AGAIN, NEXT = 32, 262, ord("R"), ord("N")
 """GLFW's key codes."""
