@@ -43,9 +43,9 @@ def export(request: ModelExport) -> AgentCard:
         bounded_threads(),
         tempfile.TemporaryDirectory() as folder,
     ):
-        loaded = sb3_file.load(file, algorithm)
-        normalised = None if statistics is None else sb3_file.load_normalisation(statistics)
         observation_space, action_space = envs.single_observation_space, envs.single_action_space
+        loaded = sb3_file.load(file, algorithm, observation_space, action_space)
+        normalised = None if statistics is None else sb3_file.load_normalisation(statistics)
         actor = Sb3Actor(loaded, observation_space, action_space, normalised)
         unchecked = Path(folder) / request.out.name
         actor.export(unchecked)

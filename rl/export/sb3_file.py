@@ -4,6 +4,7 @@ A model is a zip file: JSON, some of whose values are pickles, and weights. What
 without them, since a pickle can run any code; `load` and `load_normalisation` do run it.
 """
 
+import base64
 import inspect
 import json
 import pickle
@@ -14,10 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gymnasium import spaces
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
+from stable_baselines3.common.vec_env import VecNormalize, VecTransposeImage
 
 from armctl.core.errors import AgentFileError, unknown_name
 from armctl.core.files import bounded_bytes, opened_regular
@@ -33,17 +36,19 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "td3": TD3,
     "tqc": TQC,
 }
+HOMES = {
+    "sb3_contrib.common.recurrent": "recurrent_ppo", "sb3_contrib.common.maskable": "maskable_ppo",
+    "sb3_contrib.tqc": "tqc", "sb3_contrib.qrdqn": "qrdqn", "sb3_contrib.crossq": "crossq", "sb3_contrib.ars": "ars",
+    "stable_baselines3.dqn": "dqn", "stable_baselines3.sac": "sac",
+}  # fmt: skip
+"""Algorithms by the module of their policies' class. Others share theirs, or have a policy of one's own."""
 MARKS = {
-    "top_quantiles_to_drop_per_net": "tqc",
-    "target_entropy": "sac",
-    "target_policy_noise": "td3",
-    "exploration_rate": "dqn",
-    "clip_range": "ppo",
-    "gae_lambda": "a2c",
-}
-"""Values that only one algorithm has, or only those above it."""
-RECURRENT = "recurrent"
-"""Part of the name of the module of sb3-contrib's recurrent policies."""
+    "cg_damping": "trpo", "n_quantiles": "qrdqn", "n_delta": "ars", "top_quantiles_to_drop_per_net": "tqc",
+    "target_policy_noise": "td3", "policy_delay": "crossq", "target_entropy": "sac", "exploration_rate": "dqn",
+    "clip_range": "ppo", "gae_lambda": "a2c",
+}  # fmt: skip
+"""Values that only one algorithm of Stable-Baselines3 and sb3-contrib has, or only those above it."""
+SPACES = ("observation_space", "action_space")
 VERSION = "_stable_baselines3_version"
 """Name of the file in the zip file that holds the version that wrote it."""
 LARGEST_DATA, LARGEST_VERSION, LARGEST_WEIGHTS = 2**26, 2**20, 2**31
@@ -85,14 +90,19 @@ class ModelFile:
     """Library and version that wrote it."""
 
     def algorithm(self) -> str:
-        """Return the algorithm's name in `ALGORITHMS`, by the values that it saves. Raises `AgentFileError`."""
+        """Return the algorithm's name in `ALGORITHMS`, by its policy's class or the values that it saves.
+
+        Raises `AgentFileError`, also for an algorithm that there is not.
+        """
         policy = self.values["policy_class"]
-        if isinstance(policy, dict) and RECURRENT in str(policy.get("__module__")):
-            return "recurrent_ppo"
-        algorithm = next((name for mark, name in MARKS.items() if mark in self.values), None)
-        if algorithm is None:
+        home = str(policy.get("__module__")) if isinstance(policy, dict) else ""
+        by_home = (name for module, name in HOMES.items() if home.startswith(f"{module}."))
+        algorithm = next(by_home, None) or next((name for mark, name in MARKS.items() if mark in self.values), None)
+        if algorithm not in ALGORITHMS:
             raise AgentFileError(
-                f"{self.path} does not tell its algorithm: name it, --algorithm {'|'.join(sorted(ALGORITHMS))}"
+                f"{self.path} is a model of {algorithm}; armctl exports those of {', '.join(sorted(ALGORITHMS))}"
+                if algorithm
+                else f"{self.path} does not tell its algorithm: name it, --algorithm {'|'.join(sorted(ALGORITHMS))}"
             )
         # DDPG is TD3 without noise on the target's actions.
         return "ddpg" if algorithm == "td3" and self.values.get("target_noise_clip") == 0 else algorithm
@@ -137,15 +147,39 @@ def _unpacked(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:
         return file.read(entry.file_size)  # with a number, since without one more is unpacked than the entry claims
 
 
-def load(file: ModelFile, algorithm: str) -> BaseAlgorithm:
-    """Load the model, for acting only. Runs what is pickled in its file. Raises `AgentFileError`."""
+def load(file: ModelFile, algorithm: str, *env_spaces: spaces.Space[Any]) -> BaseAlgorithm:
+    """Load the model, for acting only. Runs what is pickled in its file. Raises `AgentFileError`.
+
+    The environment's spaces of observations and actions stand in for those that cannot be read, such as of gym.
+    """
     if algorithm not in ALGORITHMS:
         raise unknown_name("algorithm", algorithm, ALGORITHMS)
     try:
         with importable_from(Path.cwd()):  # a network of one's own
-            return ALGORITHMS[algorithm].load(file.path, device="cpu", custom_objects=FOR_TRAINING_ONLY)
+            replaced = {
+                name: _as_trained(space)
+                for name, space in zip(SPACES, env_spaces, strict=True)
+                if not _is_readable_space(file.values.get(name))
+            }
+            return ALGORITHMS[algorithm].load(file.path, device="cpu", custom_objects=FOR_TRAINING_ONLY | replaced)
     except Exception as error:  # what a model of another algorithm or version, or somebody else's code, may raise
         raise AgentFileError(f"{file.path} cannot be loaded as a model of {algorithm}: {in_a_line(error)}") from error
+
+
+def _is_readable_space(value: Any) -> bool:
+    try:
+        return isinstance(pickle.loads(base64.b64decode(value[":serialized:"])), spaces.Space)
+    except Exception:  # a pickle may raise anything
+        return False
+
+
+def _as_trained(space: spaces.Space[Any]) -> spaces.Space[Any]:
+    """Return a space as Stable-Baselines3 shows it to a network: images with their channels first."""
+    if isinstance(space, spaces.Dict):
+        return spaces.Dict({name: _as_trained(part) for name, part in space.items()})
+    if isinstance(space, spaces.Box) and is_image_space(space) and not is_image_space_channels_first(space):
+        return VecTransposeImage.transpose_space(space)
+    return space
 
 
 def normalisation_beside(model: Path) -> Path | None:

@@ -57,6 +57,28 @@ def test_an_episode_depends_on_seed_and_number_alone():
     assert len({episode_seed(s, k) for s in range(30) for k in range(30)}) == 900
 
 
+class Strict(gymnasium.Env):
+    """Hands its seed to a C library, which takes positive numbers of 32 bits with a sign."""
+
+    observation_space, action_space = gymnasium.spaces.Box(-1, 1, (1,)), gymnasium.spaces.Box(-1, 1, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        if seed is not None and (type(seed) is not int or not 0 <= seed < 2**31):
+            raise ValueError(f"the seed {seed!r}")
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        return np.zeros(1, np.float32), 0.0, False, False, {}
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2026, 2**31, 2**32, 2**62, 10**8, 2**63 - 1])
+def test_seeds_of_others_have_31_bits(seed, monkeypatch):
+    spec = gymnasium.envs.registration.EnvSpec("test/Strict-v0", entry_point=f"{__name__}:Strict", max_episode_steps=5)
+    monkeypatch.setitem(gymnasium.registry, "test/Strict-v0", spec)
+    worlds = make_worlds("test/Strict-v0", 64)
+    worlds.reset(seed=[seed] * 64, options={"episode": [*range(63), 2**40]})
+
+
 def test_single_worlds_are_reset():
     worlds = make_worlds("Pendulum-v1", 2)
     before, _ = worlds.reset(seed=[0, 0], options={"episode": [0, 1]})

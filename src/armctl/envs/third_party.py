@@ -28,6 +28,8 @@ from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts
 
 SUCCESS_KEYS = ("is_success", "success")
+LARGEST_SEED = 2**31
+"""Bound of the seeds that environments of others are given."""
 RENDER_FPS = 25
 """Frames per second of environments that do not say."""
 ENDLESS = 100_000
@@ -35,8 +37,8 @@ ENDLESS = 100_000
 
 
 def episode_seed(seed: int, episode: int) -> int:
-    """Return the seed that starts an episode in an environment of others."""
-    return int(np.random.SeedSequence(episode_entropy(seed, episode)).generate_state(1)[0])
+    """Return the seed that starts an episode in an environment of others: of 31 bits, as simulators in C take them."""
+    return int(np.random.SeedSequence(episode_entropy(seed, episode)).generate_state(1)[0]) % LARGEST_SEED
 
 
 class ThirdPartyTask(TaskFacts):
