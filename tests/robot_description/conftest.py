@@ -14,3 +14,16 @@ def urdf(tmp_path):
 
     (tmp_path / "junk.stl").write_text("junk")
     return write
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Writes a URDF to a package in a folder of its own."""
+
+    def write(text, name="package/arm.urdf"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        return path
+
+    return write

@@ -1,16 +1,21 @@
 """Finds and reads the meshes of a URDF, only those below its own package: a URDF may come from a stranger."""
 
+import itertools
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from urllib.parse import unquote
 
 import coal
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
+from armctl.robot_description.xml_file import short
 
+PATH = 80
+"""Characters of a path that a message shows."""
 FORMATS = (".stl", ".dae", ".obj", ".ply")
 """Formats that hold all of a mesh in one file."""
 MAX_BYTES = 64_000_000
@@ -48,7 +53,7 @@ class Meshes:
         """Return vertices (k, 3) m and triangles (m, 3) of a mesh, as a URDF names it. Raises `MeshError`."""
         path = self._find(filename)
         if path.suffix.lower() not in FORMATS:
-            raise MeshError(f"is no mesh of a format that armctl reads: {', '.join(FORMATS)}")
+            raise MeshError(f"is no mesh of a format that armctl reads, so convert it: {', '.join(FORMATS)}")
         with path.open("rb") as file:
             content = file.read(self._bytes_left + 1)
         if len(content) > self._bytes_left:
@@ -68,28 +73,56 @@ class Meshes:
         return vertices, triangles
 
     def _find(self, filename: str) -> Path:
-        name = filename.removeprefix("file://") if filename.startswith("file:///") else filename
-        _, scheme, in_package = name.partition("package://")
-        if scheme:
-            package, _, rest = in_package.partition("/")
-            candidates = [(self.package, self.package / rest), (self.package, self.package / in_package)]
-            if package == self._shared.name:
-                candidates.append((self._shared, self._shared / rest))
-        else:
-            name = name.removeprefix("file://")
-            if "://" in name or name.startswith(("/", "\\")):
-                raise MeshError("is named by an absolute path: name it relative to the URDF, or as package://")
-            candidates = [(self.package, self._folder / name), (self.package, self.package / name)]
+        """Return a mesh's file, by its name as written or in another usual spelling."""
+        if not filename.strip():
+            raise MeshError("has no file name")
+        decoded = unquote(filename)
+        spellings = dict.fromkeys((filename, decoded, filename.replace("\\", "/"), decoded.replace("\\", "/")))
+        candidates = [candidate for spelling in spellings for candidate in self._candidates(spelling)]
+        inside = [
+            (allowed, path) for allowed, path in candidates if path.is_relative_to(allowed) and ".." not in path.parts
+        ]
         try:
-            for allowed, path in candidates:
-                if path.is_file():
-                    absolute = path.resolve()
-                    if not absolute.is_relative_to(allowed.resolve()):
-                        raise MeshError(f"lies outside of the URDF's package {allowed.name!r}")
-                    return absolute
-        except (OSError, RuntimeError) as error:  # a name too long, links that go round in circles
+            paths = (candidate for candidate in candidates if candidate[1].is_file())
+            others = ((allowed, match) for allowed, path in inside if (match := _in_other_case(allowed, path)))
+            allowed, path = next(itertools.chain(paths, others), (None, Path()))
+            absolute = path.resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # too long, links that go round in circles, a null byte
             raise MeshError(f"cannot be opened: {error}") from error
-        raise MeshError(f"was not found in the URDF's package, the folder {self.package.name!r}")
+        advice = (
+            f"put it below {self.package.name!r}, change its path, or put a package.xml into a folder that holds both"
+        )
+        if allowed is None:
+            places = dict.fromkeys(str(path.relative_to(allowed.parent)) for allowed, path in inside)
+            looked = f" as {', '.join(short(place, PATH) for place in places)}" if places else ""
+            package = f"the URDF's package, the folder {self.package.name!r}"
+            raise MeshError(f"was not found in {package}{looked}: {advice}")
+        if not absolute.is_relative_to(allowed.resolve()):
+            raise MeshError(f"lies outside of the URDF's package {allowed.name!r}: {advice}")
+        return absolute
+
+    def _candidates(self, name: str) -> list[tuple[Path, Path]]:
+        """Return paths at which a mesh may lie, each with the folder that has to contain it."""
+        scheme, separator, rest = name.rpartition("://")
+        scheme = scheme.rpartition("://")[2]
+        if separator and scheme not in ("package", "model", "file"):
+            raise MeshError("is at an absolute address: name it relative to the URDF, or as package://")
+        if not separator or scheme == "file":
+            return [(self.package, self._folder / rest), (self.package, self.package / rest)]
+        package, _, inside = rest.partition("/")
+        shared = [(self._shared, self._shared / inside)] if package == self._shared.name else []
+        return [(self.package, self.package / inside), (self.package, self.package / rest), *shared]
+
+
+def _in_other_case(folder: Path, path: Path) -> Path | None:
+    """Return the file below a folder whose path differs from this one in upper and lower case only."""
+    for part in path.relative_to(folder).parts:
+        names = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        match = next((name for name in names if name.casefold() == part.casefold()), None)
+        if match is None:
+            return None
+        folder /= match
+    return folder if folder.is_file() else None
 
 
 def _parse(path: Path, content: bytes, scale: Array) -> tuple[Array, NDArray[np.int32]]:

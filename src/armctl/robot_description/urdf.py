@@ -20,7 +20,7 @@ from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.file_notes import notes_on_file
-from armctl.robot_description.meshes import MeshError, Meshes
+from armctl.robot_description.meshes import PATH, MeshError, Meshes
 from armctl.robot_description.xml_file import Element, read_xml, short
 
 FULL_TURN = 2 * math.pi
@@ -288,7 +288,7 @@ class Urdf:
         try:
             return self._meshes.read(filename, self._numbers(shape, "scale", description, 3, "1 1 1"))
         except MeshError as error:
-            raise self._error(f"the mesh {short(filename)} of a {description} {error}") from error
+            raise self._error(f"the mesh {short(filename, PATH)} of a {description} {error}") from error
 
     def _numbers(self, element: Element, attribute: str, owner: str, count: int, default: str | None = None) -> Array:
         words = element.get(attribute, default or "").split()

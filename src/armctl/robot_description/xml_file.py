@@ -45,9 +45,11 @@ def needs_xacro(path: Path, leftover: str) -> str:
     )
 
 
-def short(text: str) -> str:
+def short(text: str, length: int = 30) -> str:
     """Return a text from a file as messages show it: quoted, and not too long."""
-    return reprlib.repr(text)
+    shortened = reprlib.Repr()
+    shortened.maxstring = length
+    return shortened.repr(text)
 
 
 def _of_xacro(root: Element) -> str | None:
