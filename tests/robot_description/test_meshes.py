@@ -221,3 +221,56 @@ def test_obj_files_that_ship_keep_their_triangles(name):
 def test_a_robot_that_ships_may_be_copied(tmp_path):
     shutil.copytree(robot_data() / "ur_description/urdf", tmp_path / "urdf")
     assert load_arm(tmp_path / "urdf/ur5_robot.urdf", tip="ee_link").dof == 6
+
+
+def dae(matrix="1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", unit='<unit name="meter" meter="1"/>'):
+    """A tetrahedron as COLLADA, in a node with a matrix."""
+    numbers = " ".join(map(str, TETRAHEDRON.ravel()))
+    accessor = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+    return f"""<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>{unit}</asset>
+    <library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" count="12">{numbers}</float_array>
+    <technique_common><accessor source="#a" count="4" stride="3">{accessor}</accessor></technique_common></source>
+    <vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="4">
+    <input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3 0 3 2 1 2 3</p></triangles></mesh></geometry>
+    </library_geometries><library_visual_scenes><visual_scene id="s"><node><matrix>{matrix}</matrix>
+    <instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+    <scene><instance_visual_scene url="#s"/></scene></COLLADA>""".encode()
+
+
+OUTWARD = stl(TETRAHEDRON)
+INWARD = stl(TETRAHEDRON, ((0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)))
+
+
+@pytest.mark.parametrize("scale", ["1 1 1", "1 -1 1", "-1 -1 1", "-1 -1 -1", "-0.5 2 1"])
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("link.stl", OUTWARD),
+        ("link.stl", INWARD),
+        ("link.obj", (VERTICES + FACES).encode()),
+        ("link.dae", dae()),
+        ("link.dae", dae("-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1")),
+    ],
+    ids=["stl", "inside out", "obj", "dae", "mirrored dae"],
+)
+def test_a_mesh_is_never_inside_out(write, name, content, scale):
+    path = write(arm(shape=f'<mesh filename="{name}" scale="{scale}"/>'))
+    (path.parent / name).write_bytes(content)
+    (found,) = load_arm(path).meshes
+    volume = np.linalg.det(found.vertices[found.triangles]).sum() / 6
+    np.testing.assert_allclose(volume, 0.2**3 / 6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("metres", [0.001, 0.0254])
+def test_the_unit_of_a_file_counts(write, metres):
+    path = write(arm(shape='<mesh filename="link.dae" scale="100 100 100"/>'))
+    (path.parent / "link.dae").write_bytes(dae(unit=f'<unit meter="{metres}"/>'))
+    np.testing.assert_allclose(load_arm(path).meshes[0].vertices.max(axis=0), 20 * metres, rtol=1e-5)
+
+
+@pytest.mark.parametrize("metres", ["0", "-1", "nan", "inf", "1e300", "much"])
+def test_a_unit_that_is_no_length_is_refused(write, metres):
+    path = write(arm(shape=mesh("link.dae")))
+    (path.parent / "link.dae").write_bytes(dae(unit=f'<unit meter="{metres}"/>'))
+    with pytest.raises(ConfigurationError, match=f"has a unit of '{metres}' m"):
+        load_arm(path)

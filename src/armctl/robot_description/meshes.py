@@ -22,6 +22,8 @@ MAX_BYTES = 64_000_000
 """Size of all mesh files of a robot together; the largest in example-robot-data has 29 MB."""
 MAX_DEPTH = 64
 """Elements within each other in a `.dae`, which the library reads by recursion."""
+UNIT_DEPTH = 3
+"""Depth of a `.dae`'s unit of length, in the asset of its root."""
 LARGEST = 1e6
 """m: largest coordinate."""
 THINNEST = 1e-6
@@ -70,7 +72,9 @@ class Meshes:
             raise MeshError(f"is flat: its thickness is {extent.min():.1g} m, and should be {THINNEST:g} m or more")
         if extent.prod() < SMALLEST:
             raise MeshError(f"is tiny: it is {extent.max():.1g} m long")
-        return vertices, triangles
+        corners = centred[triangles]
+        inside_out = np.linalg.det(corners).sum() < 0  # mirrored by its scale, or by a node of its file
+        return vertices, triangles[:, ::-1] if inside_out else triangles
 
     def _find(self, filename: str) -> Path:
         """Return a mesh's file, by its name as written or in another usual spelling."""
@@ -127,10 +131,12 @@ def _in_other_case(folder: Path, path: Path) -> Path | None:
 
 def _parse(path: Path, content: bytes, scale: Array) -> tuple[Array, NDArray[np.int32]]:
     if path.suffix.lower() == ".dae":
+        limited = _Limited()
         try:
-            ElementTree.XMLParser(target=_Limited()).feed(content)
+            ElementTree.XMLParser(target=limited).feed(content)
         except ElementTree.ParseError as error:
             raise MeshError(f"cannot be read: {error}") from error
+        scale = scale * limited.metres
     elif path.suffix.lower() == ".obj":
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "mesh.obj"
@@ -163,17 +169,31 @@ def _load(path: Path, scale: Array) -> tuple[Array, NDArray[np.int32]]:
         raise MeshError("cannot be read") from error
 
 
+def _positive(number: str) -> float:
+    """Return a positive number of a file."""
+    try:
+        if 0 < (value := float(number)) < LARGEST:
+            return value
+    except ValueError:
+        pass
+    raise MeshError(f"has a unit of {short(number)} m")
+
+
 class _Limited:
     """Refuses what makes a `.dae` grow when it is read: entities, deep nesting, and nodes that stand for others."""
 
     def __init__(self) -> None:
         self._depth = 0
+        self.metres = 1.0
+        """The file's unit of length, m."""
 
     def doctype(self, *_: object) -> None:
         raise MeshError("has a document type (<!DOCTYPE>), which armctl does not read")
 
-    def start(self, tag: str, _: dict[str, str]) -> None:
+    def start(self, tag: str, attrs: dict[str, str]) -> None:
         self._depth += 1
+        if tag.rpartition("}")[2] == "unit" and self._depth == UNIT_DEPTH:
+            self.metres = _positive(attrs.get("meter", "1"))
         if self._depth > MAX_DEPTH:
             raise MeshError(f"has more than {MAX_DEPTH} elements within each other")
         if tag.rpartition("}")[2] == "instance_node":
