@@ -137,10 +137,11 @@ def pivoted(points: pd.DataFrame) -> list[str]:
 
 
 def brief(parts: Sequence[str]) -> list[str]:
-    """Return the first columns of a comparison's table, and its verdict."""
-    rows = (line.split(" | ") for line in parts[0].splitlines())
+    """Return a comparison's verdict, and the first columns of its table."""
+    (whole,) = (part for part in parts if part.startswith("| policy |"))
+    rows = (line.split(" | ") for line in whole.splitlines())
     table = "\n".join(" | ".join(row[:BRIEF_COLUMNS]) + " |" for row in rows)
-    return [table, *(f"> {part.strip('*')}" for part in parts if part.startswith("**"))]
+    return [*(f"> {part.strip('*')}" for part in parts if part.startswith("**")), table]
 
 
 def tables(printed: str) -> list[str]:

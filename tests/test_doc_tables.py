@@ -53,12 +53,12 @@ def test_tables_are_what_a_comparison_prints():
     assert "- reach\\_ik: 3 reached" in once
     brief = renewed(f"<!-- in short: {command} -->\n<!-- end -->\n")
     assert brief.startswith(
-        f"<!-- in short: {command} -->\n\n| policy | success | return | steps | decision ms | sees |\n"
+        f"<!-- in short: {command} -->\n\n> No verdict from 3 episodes: at least 10 are needed.\n\n"
+        "| policy | success | return | steps | decision ms | sees |\n"
     )
-    assert "> No verdict from 3 episodes: at least 10 are needed.\n\n`armctl" in brief
     assert "3 reached" not in brief
     printed = renewed(f"<!-- as printed: {command} -->\n<!-- end -->\n")
-    assert "-->\n\n```text\narmctl/ArmReach-v0: 3 episodes of seed 0\n" in printed
+    assert "-->\n\n```text\nNo verdict from 3 episodes: at least 10 are needed.\n\narmctl/ArmReach-v0: 3" in printed
     assert "results/test/episodes.csv has every episode" in printed
 
 

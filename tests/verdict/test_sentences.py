@@ -48,12 +48,14 @@ def test_it_begins_with_winner_difference_and_cost(ppo, says):
     assert str(told) == f"{told.result} {told.cost} {told.context}"
 
 
-def test_planning_at_the_reset_stands_beside_a_short_decision():
+def test_planning_stands_beside_a_short_decision():
     policies, pairs = played({"reach_ik": range(400), "reach_ppo": range(400)})
-    policies = [dataclasses.replace(policies[0], reset_ms=310.0), dataclasses.replace(policies[1], reset_ms=0.01)]
+    policies = [
+        dataclasses.replace(one, first_decision_ms=first) for one, first in zip(policies, (310.0, 0.3), strict=True)
+    ]
     cost = verdict(policies, pairs).cost
-    assert "reach_ik 0.25 ms (99th percentile 0.5 ms, planning at the reset 3.1e+02 ms), reach_ppo 0.25" in cost
-    assert cost.count("planning") == 1
+    assert "reach_ik 0.25 ms (99th percentile 0.5 ms, reset and first decision 310 ms), reach_ppo 0.25" in cost
+    assert cost.count("first decision") == 1
 
 
 def test_too_few_episodes_have_no_headline_but_that():

@@ -65,8 +65,8 @@ def test_random_actions_are_no_part_of_the_front_but_alone():
 
 
 def test_a_dot_is_at_the_median_of_a_control_step_with_its_part_of_the_planning():
-    fast = policy("a", 0.5, ms=0.1, reset_ms=None)
-    planner = policy("b", 0.5, ms=0.1, reset_ms=300.0, length=Estimate(150.0, None, None))
+    fast = policy("a", 0.5, ms=0.1, first_decision_ms=None)
+    planner = policy("b", 0.5, ms=0.1, first_decision_ms=300.1, length=Estimate(150.0, None, None))
     assert [one.decision_ms for one in points([fast, planner])] == [0.1, pytest.approx(2.1)]
 
 

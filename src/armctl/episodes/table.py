@@ -172,6 +172,12 @@ class EpisodeTable(Sequence[EpisodeResult]):
         """Return the decision times of each episode."""
         return self._decision_ms.take(self._rows)
 
+    def first_decision_ms(self) -> Array:
+        """Return the time of the reset with the first decision, of each episode in which that is warm."""
+        warm = (self.column("length") > 0) & np.isnan(self.column("first_call_ms"))
+        first = self._decision_ms.values[self._decision_ms.ends[self._rows[warm]]]
+        return np.asarray(np.nan_to_num(self.column("reset_ms")[warm], nan=0.0) + first)
+
     def decision_seconds(self) -> Array:
         """(len(self),) the time of the reset and of all decisions of each episode."""
         spent = np.nan_to_num(self.column("reset_ms"), nan=0.0)

@@ -27,6 +27,8 @@ METRICS = (
     "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
 )  # fmt: skip
 """The fields of `armctl.episodes.metrics.Metrics` whose means are in the summary."""
+MIN_PLANNING = 3.0
+"""Times the median decision from which on an episode's first one is told beside it: it plans."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +103,8 @@ class DecisionTimes:
     """Mean over episodes of the time of the reset and all decisions, the first one included."""
     reset_ms: float | None = None
     """Median over episodes; None if unknown."""
+    first_decision_ms: float | None = None
+    """Median over episodes of the reset with the first decision, in which planners plan; None if none was warm."""
     construction_ms: float | None = None
     """Time to make the policy in the process that played, of several the longest; divided by the number of
     controllers, if there is one for each world. None if unknown."""
@@ -140,20 +144,21 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
     @property
     def decision_time(self) -> str:
-        """Median and 99th percentile of a decision, in words; with the planning at the reset if that takes longer."""
-        details = [f"99th percentile {self.decision_ms_p99:.2g} ms"]
-        if self.reset_ms is not None and self.reset_ms > self.decision_ms_p50:
-            details.append(f"planning at the reset {self.reset_ms:.2g} ms")
-        return f"{self.decision_ms_p50:.2g} ms ({', '.join(details)})"
+        """Median and 99th percentile of a decision, in words; with the first one of an episode if that takes longer."""
+        details = [f"99th percentile {_two_digits(self.decision_ms_p99)} ms"]
+        if self.first_decision_ms is not None and self.first_decision_ms > MIN_PLANNING * self.decision_ms_p50:
+            details.append(f"reset and first decision {_two_digits(self.first_decision_ms)} ms")
+        return f"{_two_digits(self.decision_ms_p50)} ms ({', '.join(details)})"
 
     @property
     def control_step_ms(self) -> float:
-        """Median decision time, ms, plus that of the reset spread over an episode's steps: planning early is no saving.
+        """Median decision time, ms, with the time by which the first one takes longer, spread over an episode's steps.
 
-        Medians, unlike means, do not follow the few decisions that other processes interrupt.
+        Planning early is no saving. Medians, unlike means, do not follow the few decisions that others interrupt.
         """
-        steps = self.length.value if self.length and self.reset_ms is not None else 1.0
-        return self.decision_ms_p50 + (self.reset_ms or 0.0) / max(steps, 1.0)
+        steps = max(self.length.value, 1.0) if self.length else 1.0
+        planning = 0.0 if self.first_decision_ms is None else self.first_decision_ms - self.decision_ms_p50
+        return self.decision_ms_p50 + max(planning, 0.0) / steps
 
     @property
     def timing(self) -> str:
@@ -268,7 +273,7 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits) -> Perform
 def _decision_times(timed: EpisodeTable, construction_ms: float) -> DecisionTimes:
     decisions = timed.warm_ms() if timed.column("length").any() else np.array([math.nan])
     resets, first_calls = _finite(timed.column("reset_ms")), _finite(timed.column("first_call_ms"))
-    longest = float(decisions.max())
+    first_decisions, longest = timed.first_decision_ms(), float(decisions.max())
     p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
     missed = timed.column("missed_deadlines").tolist()
     return DecisionTimes(
@@ -281,6 +286,7 @@ def _decision_times(timed: EpisodeTable, construction_ms: float) -> DecisionTime
         workers=timed[0].workers,
         decision_seconds=_mean(timed.decision_seconds()),
         reset_ms=float(np.median(resets)) if len(resets) else None,
+        first_decision_ms=float(np.median(first_decisions)) if len(first_decisions) else None,
         construction_ms=construction_ms,
     )
 
@@ -314,6 +320,11 @@ def _of_group(
             changes["if_normal"] = crossed.if_normal if possible else None
     metrics = {name: value and replace(value, low=None, high=None) for name, value in pooled.metrics.items()}
     return replace(pooled, metrics=metrics, **changes)
+
+
+def _two_digits(value: float) -> str:
+    """Return a time with two digits, without an exponent from 0.0001 to 100,000."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.2g}"
 
 
 def _mean_metric(name: str, results: EpisodeTable, steps: int | None) -> Estimate | None:

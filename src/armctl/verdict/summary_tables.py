@@ -118,8 +118,9 @@ def details(policy: PolicySummary) -> Remark:
     if error := policy.tracking_error:
         facts.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
     if seconds := policy.decision_seconds:
-        resets = "" if policy.reset_ms is None else f", of which {policy.reset_ms:.3g} ms at the reset (median)"
-        facts.append(f"decisions {seconds.value:.2g} s per episode{resets}")
+        first = policy.first_decision_ms
+        planning = "" if first is None else f", of which {first:.3g} ms until the first action (median)"
+        facts.append(f"decisions {seconds.value:.2g} s per episode{planning}")
         if policy.construction_ms is not None:
             facts.append(f"construction {policy.construction_ms:.3g} ms")
     if policy.solver_failures:

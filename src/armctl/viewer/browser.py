@@ -79,15 +79,15 @@ class Player(plugin.SimPlugin):
         """Pause, or continue."""
         self._paused = request.pause_state != sim.PauseState.UNPAUSED
         self._due = time.perf_counter()
-        self._show(self._history[-1 if not self._paused else self._shown])
+        self._show(self._history[-1 if not self._paused else self._shown_step])
         return True
 
     @messages.handler
     def on_seek(self, request: Seek) -> bool:
         """Pause at an earlier control step of this episode."""
         self._paused = True
-        self._shown = min(max(request.step, 0), len(self._history) - 1)
-        self._show(self._history[self._shown])
+        self._shown_step = min(max(request.step, 0), len(self._history) - 1)
+        self._show(self._history[self._shown_step])
         return True
 
     @messages.handler
@@ -158,12 +158,12 @@ class Player(plugin.SimPlugin):
         return Moment(state, self.stage.status, geoms, tuple(plans))
 
     def _show(self, moment: Moment) -> None:
-        self._shown = moment.status.steps
+        self._shown_step = moment.status.steps
         self._previous_state = self._state = moment.state
         self._send()
 
     def _send(self) -> None:
-        _, status, geoms, plans = self._history[self._shown]
+        _, status, geoms, plans = self._history[self._shown_step]
         last_step = len(self._history) - 1
         self.frame = Frame(status, self._paused, self._speed, last_step, geoms, plans, self._notice)
         if self._handle is not None:
