@@ -4,6 +4,7 @@ import pytest
 
 from armctl.rl.networks.actor import Actor
 from armctl.rl.run.training import Training
+from tests.sealing import sealed  # noqa: F401 - a fixture
 
 
 @pytest.fixture

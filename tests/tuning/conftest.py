@@ -4,6 +4,7 @@ import pytest
 
 from armctl.tuning import tune
 
+from ..sealing import sealed  # noqa: F401 - a fixture
 from .small_tunings import RECIPE, expert
 
 

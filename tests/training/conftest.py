@@ -1,0 +1,3 @@
+"""No training plays the sealed test."""
+
+from ..sealing import sealed  # noqa: F401 - a fixture
