@@ -14,6 +14,7 @@ from armctl.kinematics import ArmModel
 from armctl.robot_description import BUILTIN_ARMS, load_arm
 from armctl.robot_description.arm import robot_data
 
+from ..command_line import armctl as in_process
 from .small_arm import BOX, chain_of, everywhere, joint, link
 
 Z, Y, X = "0 0 1", "0 1 0", "1 0 0"
@@ -322,3 +323,11 @@ def test_elements_beside_links_and_joints_are_told(urdf):
         urdf(chain().replace("</robot>", f"{extra}</robot>").replace('name="chain"', 'name="chain" units="mm"'))
     )
     assert "Not read: <gripper>, <loop_joint>, units='mm' of <robot>." in notes
+
+
+def test_list_shows_a_robot_with_its_notes(urdf):
+    path = urdf(chain(limit=('velocity="3"', 'velocity="120"')))
+    shown = " ".join(in_process("list", "--robot", str(path), cwd=path.parent).stdout.split())
+    assert "j2 -2 to 2 rad, 120 rad/s, 50 N m, home 0" in shown
+    assert all(note in shown for note in load_arm(path).notes)
+    assert "notes none" in " ".join(in_process("list", "--robot", "ur5", cwd=path.parent).stdout.split())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armctl.cli.app import app
-from armctl.cli.completion import environments
+from armctl.cli.completion import environments, robots
 from armctl.cli.options import checked_env
 from armctl.core.errors import ConfigurationError
 
@@ -34,16 +34,26 @@ def list_(
             callback=checked_env,
         ),
     ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option("--robot", metavar="ROBOT", help="Show all about this robot.", autocompletion=robots),
+    ] = None,
+    tip: Annotated[str | None, typer.Option("--tip", metavar="LINK", help="End-effector of the robot's file.")] = None,
 ) -> None:
     """List the tasks with their policies: expert or agent, what each sees, and what it controls.
 
     With `--env ID`: an environment's observations and actions with their units, the policies that fit, its options with
     their units and defaults, its disturbances with their levels, and its potentials for reward shaping.
+
+    With `--robot ROBOT`, a name or the path of a URDF file: its joints with their limits, its home, and notes about all
+    that was repaired, left out or assumed.
     """
     from armctl.report.terminal import output_console
 
-    console = output_console()
-    for part in list(_everything() if env is None else _environment(env)):
+    console, parts = output_console(), [] if env is None else [*_environment(env)]
+    if robot is not None:
+        parts += _robot(robot, tip)
+    for part in parts or _everything():
         console.print(part, highlight=False)
 
 
@@ -129,6 +139,27 @@ def _environment(env: str) -> Iterable["RenderableType"]:
     _add_rows(table, "potentials", ((name, _first_line(potential)) for name, potential in potentials.items()))
     yield table
     yield "Set an option by --set NAME=VALUE, a disturbance by --disturbance NAME=LEVELS in armctl sweep."
+
+
+def _robot(robot: str, tip: str | None) -> Iterable["RenderableType"]:
+    import warnings
+
+    from armctl.robot_description import load_arm
+
+    with warnings.catch_warnings(action="ignore"):  # the notes are shown below
+        arm = load_arm(robot, tip=tip)
+    limits = arm.limits
+    rows = zip(arm.joints, limits.lower, limits.upper, limits.velocity, limits.effort, arm.home, strict=True)
+    table = _grid()
+    table.add_row(_bold("robot"), arm.name)
+    table.add_row(_bold("end-effector"), arm.tip)
+    joints = (
+        (name, f"{low:.4g} to {high:.4g} rad, {speed:.4g} rad/s, {effort:.4g} N m, home {home:.4g}")
+        for name, low, high, speed, effort, home in rows
+    )
+    _add_rows(table, "joints", joints)
+    _add_rows(table, "notes", (("", note) for note in arm.notes or ("none",)))
+    yield table
 
 
 def _options(described: "Iterable[OptionDescription]") -> Iterator[tuple[str, str]]:
