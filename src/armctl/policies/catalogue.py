@@ -27,7 +27,7 @@ class ListedPolicy:
     name: str
     summary: str
     kind: str
-    """`expert`, `baseline`, or `agent` with the kind of its learning."""
+    """`expert`, `hybrid`, `baseline`, or `agent` with the kind of its learning."""
     sees: str = "unknown"
     controls: str = "unknown"
     """Robots, and how they are commanded."""
@@ -60,7 +60,7 @@ def _expert(name: str) -> ListedPolicy:
         return ListedPolicy(name, "cannot be loaded", "expert")
     (privilege,), _ = declared.decorators.get("sees", ([declared.values.get("sees", "observation")], {}))
     (envs,), made_for = declared.decorators.get("made_for", (["*"], {}))
-    kind, controls = "baseline" if envs == "*" else "expert", made_for.get("controls", "any")
+    kind, controls = "baseline" if envs == "*" else made_for.get("kind", "expert"), made_for.get("controls", "any")
     return ListedPolicy(name, declared.summary, kind, SHORT.get(privilege, privilege), controls, envs)
 
 

@@ -33,15 +33,15 @@ def sees(privilege: Sees, *, family: str | None = None) -> Callable[[Factory], F
     return declare
 
 
-def made_for(envs: str, *, controls: str) -> Callable[[Factory], Factory]:
+def made_for(envs: str, *, controls: str, kind: str = "expert") -> Callable[[Factory], Factory]:
     """Declare, for `armctl list`, for which environments a policy is made, and what it controls there.
 
     `envs` is an id, or a pattern such as `armctl/ArmReach*`; `controls` are robots and commands, such as `ur5,
-    position`. Both are literal texts, which are read from the source.
+    position`; `kind` is `hybrid` if it plans with a network. All are literal texts, which are read from the source.
     """
 
     def declare(factory: Factory) -> Factory:
-        factory.made_for = (envs, controls)  # type: ignore[attr-defined]
+        factory.made_for = (envs, controls, kind)  # type: ignore[attr-defined]
         return factory
 
     return declare
