@@ -138,7 +138,9 @@ def test_every_command_is_one_that_there_is(page):
 
 
 def _check(verb, arguments):
-    """That a verb's arguments can be parsed, and that the names in them exist."""
+    """That a verb's arguments can be parsed, and that the names in them exist; the reader's files need not."""
+    for parameter in verb.params:
+        parameter.callback = None
     given = verb.make_context(verb.name, list(arguments)).params
     env = given.get("env")
     assert env is None or ":" in env or env in gymnasium.registry, env
