@@ -13,7 +13,8 @@ def sealed(monkeypatch):
     begin = EpisodeVectorEnv.reset
 
     def reset(self, *, seed=None, options=None):
-        assert not np.any(np.asarray(-1 if seed is None else seed) == TEST_SEED), "this plays the sealed test"
+        if np.any(np.asarray(-1 if seed is None else seed) == TEST_SEED):
+            pytest.fail("this plays the sealed test")  # which nothing takes for an environment's failure
         return begin(self, seed=seed, options=options)
 
     monkeypatch.setattr(EpisodeVectorEnv, "reset", reset)
