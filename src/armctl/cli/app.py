@@ -7,11 +7,38 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, TypeVar
 
 import typer
+from typer.core import TyperArgument, TyperCommand, TyperGroup
 
 from armctl import __version__
 from armctl.cli.standard_output import TABLE, standard_output
 
+TYPES = {"int range": "N", "int": "N", "float": "X", "float range": "X", "path": "PATH", "str": "TEXT"}
+"""Short names of types."""
+
+
+class _ShortTypes:
+    """Help in which flags have no type and others a short one, so that lines have room for what they say."""
+
+    def get_params(self, ctx: Any) -> Any:
+        params = super().get_params(ctx)  # type: ignore[misc]  # of Typer's classes
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+            elif param.metavar is None and not isinstance(param, TyperArgument):
+                param.metavar = TYPES.get(param.display_type(ctx).strip("<>"))
+        return params
+
+
+class _Command(_ShortTypes, TyperCommand):
+    pass
+
+
+class _Group(_ShortTypes, TyperGroup):
+    pass
+
+
 app = typer.Typer(
+    cls=_Group,
     help="Compare planners and controllers with learned agents, on the same robot episodes.\n\n"
     "Start with `armctl compare`: an IK expert, a trained PPO agent and a random policy play the same 200 reach "
     "episodes. With `--env armctl/BridgeCross-v0`, a path planner and a camera agent cross the same bridges. "
@@ -55,6 +82,11 @@ def _options(
     settings.traceback = traceback
 
 
+def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add a function to the command line, whose parameters are options."""
+    return app.command(name, cls=_Command)
+
+
 def verb(function: Callable[[Request], None]) -> Callable[[Request], None]:
     """Add a verb to the command line: a function of a request, a dataclass whose fields are the verb's options.
 
@@ -81,5 +113,5 @@ def verb(function: Callable[[Request], None]) -> Callable[[Request], None]:
             for field in sorted(fields(request), key=lambda field: order.index(field.name))
         ]
     )
-    app.command()(command)
+    app.command(cls=_Command)(command)
     return function

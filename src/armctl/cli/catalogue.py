@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armctl.cli.app import app
+from armctl.cli.app import command
 from armctl.cli.completion import environments, robots
 from armctl.cli.options import checked_env
 from armctl.core.errors import ConfigurationError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from armctl.policies.catalogue import ListedPolicy
 
 
-@app.command("list")
+@command("list")
 def list_(
     env: Annotated[
         str | None,

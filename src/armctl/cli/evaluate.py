@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from armctl.cli import completion
-from armctl.cli.app import app
+from armctl.cli.app import command
 from armctl.cli.options import (
     Format,
     TableFormat,
@@ -19,7 +19,7 @@ from armctl.cli.options import (
 from armctl.cli.standard_output import standard_output
 
 
-@app.command()
+@command()
 def plan(
     detect: Annotated[float, typer.Option(metavar="POINTS", help="Difference in success to detect, in percent.")] = 2.0,
     power: Annotated[float, typer.Option(help="Power: the probability of detecting it.")] = 0.8,
@@ -48,7 +48,7 @@ def plan(
     print_document(plan_comparison(detect / 100, power, pilot, pairs), table_format)
 
 
-@app.command()
+@command()
 def report(
     folder: Annotated[
         Path,
@@ -85,7 +85,7 @@ def report(
     make_report(folder, out, PlainConsole(), video=video, env=env, policies=policies or ())
 
 
-@app.command()
+@command()
 def episodes(
     folder: Annotated[
         Path, typer.Argument(help="Results of a comparison, a sweep or a suite.", callback=existing_folder)
@@ -118,7 +118,7 @@ def episodes(
                 console.print(path, soft_wrap=True)
 
 
-@app.command()
+@command()
 def reproduce(
     agents: Annotated[
         list[str],

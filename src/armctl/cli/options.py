@@ -64,6 +64,7 @@ Env = Annotated[
     str,
     typer.Option(
         "--env",
+        metavar="ID",
         help="Environment: an id (`armctl list` shows armctl's own), Gymnasium's `Pendulum-v1`, or `file.py:NAME`.",
         autocompletion=completion.environments,
         callback=checked_env,
@@ -179,7 +180,10 @@ class TableFormat(StrEnum):
 Format = Annotated[
     TableFormat,
     typer.Option(
-        "--format", help="How results are printed. With any other than `table`, standard output has nothing else."
+        "--format",
+        metavar="FORMAT",
+        help="`table`, `markdown`, `latex`, `json` or `csv`. With any other than `table`, standard output has nothing "
+        "else.",
     ),
 ]
 SuccessReturn = Annotated[
@@ -203,13 +207,19 @@ ReturnBounds = Annotated[
 ]
 
 
+def checked_policy_seed(seed: int | None) -> int | None:
+    """Return a secret of a run. Raises `ConfigurationError`."""
+    from armctl.envs.policy_seed import chosen_policy_seed
+
+    return None if seed is None else chosen_policy_seed(seed)
+
+
 PolicySeed = Annotated[
     int | None,
     typer.Option(
         "--policy-seed",
-        metavar="NUMBER",
-        min=0,
-        max=2**128 - 1,
+        metavar="N",
+        callback=checked_policy_seed,
         help="Secret from which policies draw their own random numbers: give the one in summary.json for an exact "
         "repeat.",
         show_default="the folder's, or 128 random bits",

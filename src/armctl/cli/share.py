@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from armctl.cli import completion
-from armctl.cli.app import app
+from armctl.cli.app import command
 from armctl.cli.options import checked_agents
 
 
@@ -15,7 +15,7 @@ def checked_agent(agent: str) -> str:
     return checked_agents([agent])[0]
 
 
-@app.command()
+@command()
 def push(
     agent: Annotated[
         str,
@@ -51,7 +51,7 @@ def push(
     )
 
 
-@app.command()
+@command()
 def pull(
     repository: Annotated[
         str,
