@@ -1,9 +1,12 @@
 import io
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
+from typing import Any, cast
 
 import imageio.v3 as imageio
 import pandas as pd
@@ -14,6 +17,7 @@ from armctl.core.registration import environment_names
 from armctl.envs.describe import describe_options
 from armctl.envs.find import find_spec
 from armctl.policies.catalogue import listed_policies, policies_of
+from armctl.policies.trainings import card_path
 from armctl.study.line_up import line_up
 
 from .command_line import ARMCTL, armctl, program
@@ -25,6 +29,14 @@ from .stores import wait_for_episodes
 def test_help_teaches_each_verb(verb, tmp_path):
     assert verb in armctl("--help", cwd=tmp_path).stdout
     assert "Usage: armctl" in armctl(verb, "--help", cwd=tmp_path).stdout
+
+
+@pytest.mark.one_case
+@pytest.mark.parametrize("verb", ["compare", "train", "sweep", "suite", "view", "collect", "plan", "export"])
+def test_help_has_no_types_of_flags_and_breaks_none(verb, tmp_path):
+    text = program(verb, "--help", cwd=tmp_path, COLUMNS="80").stdout
+    assert "<bool>" not in text + program("--help", cwd=tmp_path).stdout
+    assert not re.search(r"<(int|float|str|path|table|bool)|34028236", text.replace("<list[str]>", ""))
 
 
 def test_help_loads_no_simulator():
@@ -136,6 +148,34 @@ def test_names_are_completed(complete, start, found):
     assert complete(start) == found
 
 
+@pytest.mark.parametrize(
+    ("env", "start", "results"),
+    [
+        (None, "tol", ["tolerance="]),
+        (None, "control=v", ["control=velocity"]),
+        (None, "robot=u", ["robot=ur10", "robot=ur3", "robot=ur5"]),
+        (None, "goal=", ["goal=False", "goal=True"]),
+        (None, "tolerance=", []),
+        ("armctl/BridgeCross-v0", "dyn", ["dynamics="]),
+        ("armctl/BridgeCross-v0", "dynamics=k", ["dynamics=kinematic"]),
+    ],
+)
+def test_options_are_completed_with_their_values(env, start, results):
+    assert completion.environment_options(cast(Any, SimpleNamespace(params={"env": env})), start) == results
+    assert completion.robots("ur1") == ["ur10"]
+
+
+def test_a_folder_with_an_agent_is_a_policy(tmp_path):
+    for suffix in (".json", ".onnx"):
+        (tmp_path / "mine").mkdir(exist_ok=True)
+        shutil.copy(card_path("reach_bc").with_suffix(suffix), tmp_path / "mine" / f"agent{suffix}")
+    for arguments in (["compare", "mine", "random", "--episodes", "1", "--out", "r"], ["run", "mine", "--steps", "1"]):
+        assert "mine/agent.json" in armctl(*arguments, cwd=tmp_path).stdout or arguments[0] == "run"
+    assert card_path(str(tmp_path / "mine")) == tmp_path / "mine" / "agent.json"
+    (tmp_path / "empty").mkdir()
+    assert "there is no policy 'empty'" in armctl("run", "empty", cwd=tmp_path, check=False).stderr
+
+
 def test_tab_completes_without_a_simulator(tmp_path):
     line = {"_ARMCTL_COMPLETE": "complete_bash", "COMP_WORDS": "armctl compare reach_o", "COMP_CWORD": "2"}
     assert program("compare", "reach_o", cwd=tmp_path, **line).stdout.split() == ["reach_ompl"]
@@ -145,6 +185,12 @@ def test_tab_completes_without_a_simulator(tmp_path):
         "print([m for m in ('mujoco', 'pinocchio', 'pandas', 'onnxruntime', 'torch') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_robot_is_short_for_an_option(tmp_path):
+    for arguments in (["--robot", "ur3"], ["--set", "robot=ur3"]):
+        armctl("compare", "random", "--episodes", "1", "--out", "here", "--overwrite", *arguments, cwd=tmp_path)
+        assert '"robot": "ur3"' in (tmp_path / "here" / "summary.json").read_text()
 
 
 def test_compare_prints_and_writes(tmp_path):
@@ -168,8 +214,8 @@ def test_other_formats_are_all_that_standard_output_holds(tmp_path):
     assert others[1].stdout.startswith("**armctl/ArmReach-v0")
     assert others[2].stdout.startswith("% in the preamble")
     for done in (first, *others):
-        assert "has every episode" not in done.stdout
-        assert "has every episode" in done.stderr
+        assert "has the episodes" not in done.stdout
+        assert "has the episodes" in done.stderr
     wrong = armctl(*command, "jsno", cwd=tmp_path, check=False)
     assert (wrong.returncode, "'json'" in wrong.stderr) == (2, True)
 
@@ -183,7 +229,7 @@ def test_a_pipe_has_no_width_unless_it_is_told_one(tmp_path):
     command = ("compare", name, "reach_ik", "--episodes", "2", "--out", "here")
     wide, narrow = (program(*command, cwd=tmp_path, COLUMNS=columns).stdout for columns in ("", "50"))
     assert re.search(rf"^{name} +0.0 % .* observation ", wide, re.MULTILINE)
-    tables = narrow.partition("has every episode")[0].splitlines()[:-1]
+    tables = narrow.partition("has the episodes")[0].splitlines()[:-1]
     assert max(map(len, tables)) <= 50
     assert "…" not in wide
 

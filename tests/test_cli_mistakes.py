@@ -1,11 +1,14 @@
 """A mistake at the command line gets one clear line, and a traceback where one is asked for."""
 
+import ast
 import re
+from pathlib import Path
 
 import pytest
 
 from .command_line import armctl
 
+HOME = Path(__file__).parents[1]
 FORK = "<robot name='fork'><link name='base'/><link name='left'/><link name='right'/>" + "".join(
     f"<joint name='{side}' type='revolute'><parent link='base'/><child link='{side}'/></joint>"
     for side in ("left", "right")
@@ -56,7 +59,15 @@ class Made:
         (["train", "reach_ppo", "--out", "/dev/null/run"], "cannot be written"),
         (["train", "ppo", "--env", "armctl/ArmReach-v1"], "Did you mean 'armctl/ArmReach-v0'"),
         (["train", "ppo", "--resume", "--out", "nowhere"], "no training to resume"),
-        (["run", "random", "--video", "/dev/null/film.mp4"], "cannot be written: /dev/null is not a folder"),
+        (["run", "random", "--video", "/dev/null/film.mp4"], "cannot be written: there is no folder /dev/null"),
+        (["run", "random", "--video", "nowhere/film.mp4"], "cannot be written: there is no folder nowhere"),
+        (["run", "random", "--rerun", "nowhere/log.rrd"], "cannot be written: there is no folder nowhere"),
+        (["compare", "random", "--margin", "-3"], "between 0 and 100 points, not -3"),
+        (["compare", "random", "--margin", "100"], "between 0 and 100 points, not 100"),
+        (["compare", "random", "--robot", "ur11"], "Did you mean 'ur10'"),
+        (["compare", "random", "--robot", "ur10", "--set", "robot=ur3"], "--robot and --set robot=ur3 say the same"),
+        (["export", "missing.zip", "--env", "Pendulum-v1"], "there is no model missing.zip"),
+        (["export", "exits.py", "--env", "Pendulum-v1"], "models are files .zip"),
         (["run", "random", "--video", "/proc/film.mp4"], "cannot be written: No such file"),
         (["run", "random", "--video", "film.xyz"], "ends in one of .mp4, .mkv"),
         (["run", "random", "--video", "film.mp4", "--watch"], "exclude each other"),
@@ -83,6 +94,21 @@ def test_mistakes_get_one_clear_line(arguments, says, tmp_path):
     assert done.returncode == 2
     assert re.search(says, done.stderr)
     assert done.stderr.count("\n") == 1
+    assert "Errno" not in done.stderr
+    assert not list(tmp_path.glob("nowhere"))
+
+
+def test_no_message_has_the_number_of_a_systems_error():
+    """Whoever catches `OSError` writes its `reason`, or `strerror`, and not the error with its number."""
+    raw = []
+    for file in (file for folder in ("src/armctl", "rl", "baselines") for file in (HOME / folder).rglob("*.py")):
+        for handler in (node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ExceptHandler)):
+            caught = {name.id for name in ast.walk(handler.type or handler) if isinstance(name, ast.Name)}
+            written = [part.value for part in ast.walk(handler) if isinstance(part, ast.FormattedValue)]
+            names = {value.id for value in written if isinstance(value, ast.Name)}
+            if handler.name in names and caught & {"OSError", "FileNotFoundError", "PermissionError"}:
+                raw.append(f"{file}:{handler.lineno}")
+    assert not raw
 
 
 @pytest.mark.slow

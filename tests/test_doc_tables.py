@@ -59,7 +59,7 @@ def test_tables_are_what_a_comparison_prints():
     assert "3 reached" not in brief
     printed = renewed(f"<!-- as printed: {command} -->\n<!-- end -->\n")
     assert "-->\n\n```text\nNo verdict from 3 episodes: at least 10 are needed.\n\narmctl/ArmReach-v0: 3" in printed
-    assert "results/test/episodes.csv has every episode" in printed
+    assert "results/test/episodes.csv has the episodes" in printed
 
 
 @pytest.mark.slow

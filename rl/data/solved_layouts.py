@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from armctl.core.console import PlainConsole
-from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as
+from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as, reason
 from armctl.core.files import (
     bounded_bytes,
     bounded_text,
@@ -174,7 +174,7 @@ def _read_part(path: Path, checksum: str) -> dict[str, NDArray[Any]]:
     try:
         content = bounded_bytes(path, LARGEST_PART)
     except (OSError, ValueError) as error:
-        raise ResultsError(f"the layouts {path} cannot be read: {error}") from error
+        raise ResultsError(f"the layouts {path} cannot be read: {reason(error)}") from error
     if short_checksum(content) != checksum:
         raise ResultsError(f"{path} does not have the checksum on its card: it was changed, or damaged")
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:

@@ -8,7 +8,7 @@ import gymnasium
 import torch
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError, reason
 from armctl.core.files import bounded_text, unsealed
 from armctl.training.run import processor_seconds
 
@@ -54,7 +54,9 @@ def _read(file: Path) -> dict[str, Any]:
     try:
         return unsealed(bounded_text(file), CLOCK_FORMAT)
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"{file} cannot be read, or is damaged ({error}): choose another folder") from error
+        raise ConfigurationError(
+            f"{file} cannot be read, or is damaged ({reason(error)}): choose another folder"
+        ) from error
 
 
 class Metered(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):

@@ -41,11 +41,11 @@ from armctl.study.curves import COSTS, CURVE, read_curve
 from armctl.study.reproduce import evaluation_of
 from armctl.training.learners import Callback, Recipe
 from armctl.training.run import SETTINGS
+from armctl.training.trials import CHECKPOINTS, CLOCK, newest_checkpoint
 
 LOG = logging.getLogger(__name__)
 
 VALIDATION_ENVS = 50
-CLOCK, CHECKPOINTS = "clock.json", "checkpoints"
 SETTINGS_FORMAT = 1
 """Format of `settings.json`, and of the folder that holds it."""
 RECIPE_ON_CARD = (
@@ -139,8 +139,7 @@ class Training:
 
     def newest_checkpoint(self) -> Path | None:
         """Return the checkpoint with the most steps."""
-        checkpoints = (path for path in (self.out / CHECKPOINTS).glob("*.zip") if path.stem.isdecimal())
-        return max(checkpoints, key=lambda path: int(path.stem), default=None)
+        return newest_checkpoint(self.out)
 
     def checkpoint(self, steps: int, content: Content) -> None:
         """Write what the training has spent, and a checkpoint."""

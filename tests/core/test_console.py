@@ -108,7 +108,7 @@ def test_square_brackets_in_names_are_no_markup(tmp_path, name):
     assert f"{agent}, episode 0" in said
     said = armctl("compare", agent, "--episodes", "2", "--set", "max_episode_steps=3", "--out", name, cwd=tmp_path)
     assert agent in said.stdout
-    assert f"{name}/episodes.csv has every episode" in said.stdout
+    assert f"{name}/episodes.csv has the episodes" in said.stdout
     assert f"{name}/page.html is the report" in (
         armctl("report", name, "--no-video", "--out", f"{name}/page.html", cwd=tmp_path).stdout
     )

@@ -168,7 +168,7 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_is_played(tmp_pat
     with pytest.raises(ConfigurationError, match=r"name ends in \.rrd; .*film\.mp4' does not"):
         record(tmp_path / "film.mp4", "random", ARM)
     (tmp_path / "file").touch()
-    with pytest.raises(ResultsError, match="is not a folder"):
+    with pytest.raises(ResultsError, match="there is no folder"):
         record(tmp_path / "file/run.rrd", "random", ARM)
 
 

@@ -81,6 +81,17 @@ def test_an_unfinished_training_tells_how_far_it_got(tmp_path):
     assert progress_of(tmp_path)["steps"] == read_card(RL / "agents" / "reach_ppo.json").training_steps
 
 
+def test_an_interrupted_training_has_the_steps_of_its_newest_checkpoint(tmp_path):
+    """An interrupt leaves a checkpoint after the last evaluation."""
+    (tmp_path / "curve.csv").write_text("steps,minutes\n0,0.0\n")
+    (tmp_path / "checkpoints").mkdir()
+    for steps in (0, 4096, 12288):
+        (tmp_path / "checkpoints" / f"{steps}.zip").touch()
+    assert progress_of(tmp_path)["steps"] == 12288
+    (tmp_path / "clock.json").write_text('{"seconds": 90.0}')
+    assert progress_of(tmp_path) == {"steps": 12288, "minutes": 1.5}
+
+
 def test_every_shipped_card_has_its_row():
     known = {one["sha256"]: one for one in read_trials(RL / TRIALS)}
     for path in (*(RL / "agents").glob("*.json"), *(RL / "agents" / "seeds").glob("*.json")):

@@ -149,9 +149,7 @@ def compare(request: CompareRequest) -> None:
         }
         return comparison_plan(request.policies, request.env, request.episodes, request.seed, options)
 
-    _play(
-        request, request.out, plan, "{0}/episodes.csv has every episode, {0}/summary.json the tables.", request.report
-    )
+    _play(request, request.out, plan, "{0}/episodes.csv has the episodes, {0}/summary.json the tables.", request.report)
 
 
 @dataclass(frozen=True, kw_only=True)

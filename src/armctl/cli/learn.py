@@ -197,7 +197,7 @@ def _train_one(job: "TrainingJob", seed: int, folder: Path, trackers: Sequence[s
         say(f"Interrupted. The same command {how}.")
         raise typer.Exit(130) from None
     agent = folder / CARD
-    say(_result(card))
+    say(_result(card, recipe.options.get("steps")))
     say(f"The agent is {agent}: {_comparison(recipe, agent)}")
 
 
@@ -213,7 +213,8 @@ def _train_several(job: "TrainingJob", folders: dict[int, Path], on: str, worker
             for outcome in train_seeds(job, folders, engine):
                 bar.advance(task)
                 failed += outcome.failure is not None
-                say(f"Seed {outcome.seed}: {_result(outcome.card) if outcome.card else f'failed: {outcome.failure}'}")
+                requested, card = job.recipe.options.get("steps"), outcome.card
+                say(f"Seed {outcome.seed}: {_result(card, requested) if card else f'failed: {outcome.failure}'}")
     except KeyboardInterrupt:
         say("Interrupted. The same command with --resume resumes the trainings.")
         raise typer.Exit(130) from None
@@ -233,11 +234,15 @@ def _comparison(recipe: "Recipe", agent: Path | str) -> str:
     return words("armctl", "compare", rival, agent, "--env", recipe.env, *option_arguments(recipe.env_options))
 
 
-def _result(card: "AgentCard") -> str:
+def _result(card: "AgentCard", requested: int | None) -> str:
+    """Return what a training cost and how its agent does, and whether it was longer than requested."""
     assert card.evaluation is not None
     low, high = card.evaluation.success_interval
+    longer = requested is not None and card.training_steps > requested
     return (
-        f"Trained for {card.cost}, in {card.training_minutes} minutes; best after {card.best_after:,} steps: "
+        f"{card.training_steps:,} steps were made, not {requested}: {card.learner} makes whole rollouts. "
+        * longer
+        + f"Trained for {card.cost}, in {card.training_minutes} minutes; best after {card.best_after:,} steps: "
         f"success {card.evaluation.success_rate:.1%} [{low:.1%}, {high:.1%}] "
         f"on {card.evaluation.episodes} development episodes"
     )

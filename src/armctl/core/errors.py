@@ -76,9 +76,16 @@ def os_errors_as(message: str, kind: type[ArmctlError] = ResultsError) -> Iterat
         raise kind(f"{message}: {error.strerror or error}") from error
 
 
+def reason(error: BaseException) -> str:
+    """Return what an error says; of one of the system, without its number."""
+    if not isinstance(error, OSError) or error.strerror is None:
+        return str(error)
+    return error.strerror if error.filename is None else f"{error.strerror}: {error.filename}"
+
+
 def described(error: BaseException) -> str:
     """Return an error of user code in a line: its type, its message, and its place."""
-    return f"{type(error).__name__}: {error}{place_of(error)}"
+    return f"{type(error).__name__}: {reason(error)}{place_of(error)}"
 
 
 def place_of(error: BaseException) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 import gymnasium
 
 from armctl.agents import shapes
-from armctl.core.errors import ConfigurationError, missing_extra
+from armctl.core.errors import ConfigurationError, missing_extra, reason
 from armctl.core.files import CHECKSUM, bounded_text, file_checksum, sealed, unsealed, write_atomically
 from armctl.datasets.demonstrations import Demonstration
 from armctl.envs import EpisodeVectorEnv, find_spec
@@ -136,7 +136,7 @@ def policy_of(dataset: str | Path) -> str:
     try:
         return str(_read_metadata(_find(dataset)).get("algorithm_name") or dataset)
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"the dataset {dataset} cannot be used: {error}") from error
+        raise ConfigurationError(f"the dataset {dataset} cannot be used: {reason(error)}") from error
 
 
 def _read_metadata(folder: Path) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from armctl import agents
-from armctl.core.errors import ArmctlError, ResultsError
+from armctl.core.errors import ArmctlError, ResultsError, reason
 from armctl.core.registration import check_named
 from armctl.envs import ThirdPartyVectorEnv, check_from_file
 from armctl.episodes.record import EpisodeResult
@@ -182,4 +182,6 @@ def _mp4(frames: Sequence[Frame], fps: float) -> bytes:
             check_frames(path, len(frames), "of the report")
             return path.read_bytes()
     except OSError as error:
-        raise ResultsError(f"the video of the report cannot be written to {tempfile.gettempdir()}: {error}") from error
+        raise ResultsError(
+            f"the video of the report cannot be written to {tempfile.gettempdir()}: {reason(error)}"
+        ) from error

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
+from armctl.core.errors import reason
 from armctl.robot_description.xml_file import short
 
 PATH = 80
@@ -92,7 +93,7 @@ class Meshes:
             allowed, path = next(itertools.chain(paths, others), (None, Path()))
             absolute = path.resolve()
         except (OSError, RuntimeError, ValueError) as error:  # too long, links that go round in circles, a null byte
-            raise MeshError(f"cannot be opened: {error}") from error
+            raise MeshError(f"cannot be opened: {reason(error)}") from error
         advice = (
             f"put it below {self.package.name!r}, change its path, or put a package.xml into a folder that holds both"
         )

@@ -4,7 +4,7 @@ import reprlib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-from armctl.core.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError, reason
 from armctl.core.files import bounded_bytes
 
 Element = ElementTree.Element
@@ -29,7 +29,7 @@ def read_xml(path: Path) -> Element:
     except (OSError, ValueError, LookupError) as error:
         if isinstance(error, ConfigurationError):
             raise
-        raise ConfigurationError(f"{path.name} cannot be read as XML: {error}") from error
+        raise ConfigurationError(f"{path.name} cannot be read as XML: {reason(error)}") from error
     if root.tag != "robot":
         raise ConfigurationError(
             f"{path.name} is not a URDF or SRDF: its root element is <{root.tag[:40]}>, not <robot>"

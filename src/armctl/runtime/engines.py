@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Self
 
-from armctl.core.errors import ConfigurationError, described, missing_extra, unknown_name
+from armctl.core.errors import ConfigurationError, described, missing_extra, reason, unknown_name
 from armctl.runtime.sending import JobBundle
 from armctl.runtime.workers import Work, WorkersFailed, end_with_parent, environment_of, run_isolated
 
@@ -225,7 +225,7 @@ class Dask(Cluster):
         try:
             self._client = distributed.Client(address, timeout=10, set_as_default=False)
         except OSError as error:
-            raise ConfigurationError(f"no scheduler of Dask answers at {address}: {error}") from error
+            raise ConfigurationError(f"no scheduler of Dask answers at {address}: {reason(error)}") from error
         self.workers = max(MIN_CLUSTER_WORKERS, self.count())
 
     def count(self) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from armctl.core.errors import ResultsError
+from armctl.core.errors import ResultsError, reason
 from armctl.core.files import bounded_text, unsealed
 from armctl.runtime.identity import differences
 
@@ -56,7 +56,7 @@ def _damage(file: Path, otherwise: str) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, AttributeError, RecursionError) as error:
-        raise ResultsError(f"{file} cannot be read, or is damaged ({error}): {otherwise}") from error
+        raise ResultsError(f"{file} cannot be read, or is damaged ({reason(error)}): {otherwise}") from error
 
 
 def refuse_changes(folder: Path, changes: Sequence[str], kind: str, otherwise: str = OTHERWISE) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from armctl.agents import read_card
-from armctl.core.errors import ArmctlError, ResultsError
+from armctl.core.errors import ArmctlError, ResultsError, reason
 from armctl.core.files import bounded_text
 from armctl.envs import full_id
 from armctl.policies.trainings import card_path
@@ -68,4 +68,4 @@ def _table(path: Path, columns: Sequence[str], numbers: Sequence[str]) -> pd.Dat
             raise ValueError("it has a row without a name")
         return table
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path} cannot be read: {error}") from error
+        raise ResultsError(f"{path} cannot be read: {reason(error)}") from error

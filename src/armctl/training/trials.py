@@ -27,6 +27,8 @@ COLUMNS = (
 """`changed` is what differs from the recipe, as JSON; `seed` is the training's. `ended` is `finished`, `interrupted`,
 `pruned` or `failed`, and `note` the reason. `success` has its 95 % interval, over `episodes` of `episode_seed`;
 `sha256` is the agent's. What is unknown is empty."""
+CLOCK, CHECKPOINTS = "clock.json", "checkpoints"
+"""Names in a training's folder: the file of what it has spent, and the folder of its checkpoints, `STEPS.zip`."""
 PATIENCE = 60.0
 """s to wait for another process that writes a row."""
 
@@ -63,11 +65,22 @@ def results_of(card: AgentCard) -> dict[str, Any]:
 
 
 def progress_of(folder: Path) -> dict[str, Any]:
-    """Return what the learning curve of an unfinished training adds to its row."""
+    """Return what the newest checkpoint and the learning curve of an unfinished training add to its row."""
+    progress: dict[str, Any] = {}
     with contextlib.suppress(OSError, ValueError, ArmctlError, IndexError, OverflowError):
         last = read_curve(folder / CURVE).iloc[-1]
-        return {"steps": int(last["steps"]), "minutes": float(last["minutes"])}
-    return {}
+        progress = {"steps": int(last["steps"]), "minutes": float(last["minutes"])}
+    if (newest := newest_checkpoint(folder)) is not None and int(newest.stem) > progress.get("steps", -1):
+        progress["steps"] = int(newest.stem)
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            progress["minutes"] = round(float(json.loads(bounded_text(folder / CLOCK))["seconds"]) / 60, 3)
+    return progress
+
+
+def newest_checkpoint(folder: Path) -> Path | None:
+    """Return the checkpoint with the most steps in a training's folder."""
+    checkpoints = (path for path in (folder / CHECKPOINTS).glob("*.zip") if path.stem.isdecimal())
+    return max(checkpoints, key=lambda path: int(path.stem), default=None)
 
 
 def add_trial(file: Path, row: Mapping[str, Any]) -> None:

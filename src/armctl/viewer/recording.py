@@ -75,11 +75,9 @@ def check_writable(kind: str, file: Path, suffixes: Sequence[str]) -> None:
         raise ConfigurationError(f"a {kind}'s name ends in {ending}; {str(file)!r} does not")
     missing = not file.exists()
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
         file.open("ab").close()
         if missing:
             file.unlink()
-    except FileExistsError as error:
-        raise ResultsError(f"the {kind} {file} cannot be written: {file.parent} is not a folder") from error
     except OSError as error:
-        raise ResultsError(f"the {kind} {file} cannot be written: {error.strerror}") from error
+        why = error.strerror if file.parent.is_dir() else f"there is no folder {file.parent}"
+        raise ResultsError(f"the {kind} {file} cannot be written: {why}") from error
