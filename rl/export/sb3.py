@@ -87,9 +87,7 @@ def _check_request(request: ModelExport) -> None:
     files = (request.out, request.out.with_suffix(".json"))
     if not request.overwrite and (existing := next(filter(os.path.exists, files), None)):
         raise ConfigurationError(f"{existing} exists already: choose another --out, or replace it with --overwrite")
-    if not request.out.parent.is_dir():
-        raise ConfigurationError(f"the agent {request.out} cannot be written: there is no folder {request.out.parent}")
-    if not os.path.isfile(request.model):  # also for a name that no file can have
+    if not os.path.exists(request.model):  # also for a name that no file can have
         raise AgentFileError(f"there is no model {request.model}")
     if not request.trust:
         raise AgentFileError(
@@ -100,5 +98,6 @@ def _check_request(request: ModelExport) -> None:
 
 def _write(graph: Path, content: bytes, card: AgentCard) -> None:
     with os_errors_as(f"the agent cannot be written to {graph}", ConfigurationError):
+        graph.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(graph, content)
         write_atomically(graph.with_suffix(".json"), card.model_dump_json(indent=2) + "\n")

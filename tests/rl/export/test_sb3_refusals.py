@@ -157,7 +157,7 @@ def saved(tmp_path_factory):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["nowhere.zip"], "nowhere.zip cannot be read: No such file"),
+        (["nowhere.zip"], "there is no model nowhere.zip"),
         (["empty.zip"], "empty.zip is not a zip file"),
         (["cut.zip"], "cut.zip is not a zip file"),
         (["foreign.zip"], "foreign.zip is not a model"),
