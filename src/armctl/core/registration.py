@@ -192,14 +192,18 @@ def _import_from(folder: Path, module: str) -> ModuleType:
 
 
 def _import_file(path: Path) -> ModuleType:
-    """Import a file, once: under its own name, or a longer one if another module has that."""
+    """Import a file, once: by its name, in its package if any, or a longer one if another module has that."""
     path = path.resolve()
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
-    with importable_from(path.parent):
-        spec = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
+    parts, home = [path.stem], path.parent
+    while (home / "__init__.py").is_file():
+        parts, home = [home.name, *parts], home.parent
+    with importable_from(home):
+        module = ".".join(parts).removesuffix(".__init__")
+        spec = importlib.util.find_spec(module) if all(part.isidentifier() for part in parts) else None
         if spec is not None and spec.origin == str(path):
-            return importlib.import_module(path.stem)
+            return importlib.import_module(module)
         name = f"{path.stem}_{zlib.crc32(bytes(path)):08x}"
         if name not in sys.modules:
             spec = importlib.util.spec_from_file_location(name, path)

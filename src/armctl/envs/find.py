@@ -63,6 +63,8 @@ def find_spec(env: Any) -> EnvSpec:
         return _registered(name, env, None)
     loaded = import_named(module, f"the environment {env!r}")
     maker = getattr(loaded, name, None)
+    if isinstance(maker, (gymnasium.Env, gymnasium.vector.VectorEnv)):
+        raise ConfigurationError(f"{env} is an environment, and armctl makes its own: name the class or function")
     is_id = name in gymnasium.registry or not callable(maker)
     spec = _registered(name, env, loaded) if is_id else EnvSpec(id=name, entry_point=maker)
     if isinstance(spec.entry_point, str):
@@ -70,6 +72,15 @@ def find_spec(env: Any) -> EnvSpec:
             load_env_creator(spec.entry_point)
     remember_named(env, f"{module}:{spec.id}")
     return spec
+
+
+def maker_in_script(env: str) -> Any:
+    """Return the class or function of the script itself that `env` names, which other processes cannot import.
+
+    None for any other environment.
+    """
+    module, _, name = env.rpartition(":")
+    return getattr(sys.modules["__main__"], name, None) if module == "__main__" else None
 
 
 def check_option_names(env: str, names: Iterable[str]) -> None:
@@ -128,6 +139,8 @@ def _hint(name: str, loaded: ModuleType | None) -> str:
         return f"{nearest(name, definitions)} In {loaded.__name__} there are: {', '.join(definitions) or 'none'}"
     if name.endswith(".py"):
         return f" Name what makes it in that file: {name}:NAME"
+    if "." in name and all(part.isidentifier() for part in name.split(".")):
+        return f" A class or function stands after a colon: {':'.join(name.rsplit('.', 1))}"
     short = [id_.rpartition("/")[2] for id_ in gymnasium.registry]
     return (
         f"{nearest(name, [*gymnasium.registry, *short])} There are: {', '.join(environment_names())}, those that "

@@ -10,9 +10,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
 from armctl.core.errors import ConfigurationError, unknown_name
-from armctl.core.registration import (
-    load_task,
-)
+from armctl.core.registration import load_task
 from armctl.envs.episodes import EpisodeVectorEnv
 from armctl.envs.find import RETURN_BOUNDS, find_spec, is_task, wrap_errors
 from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
@@ -23,6 +21,7 @@ RESERVED = {
     "vectorization_mode", "wrappers",
 }  # fmt: skip
 """Arguments that callers cannot set as options."""
+ONE_WORLD = "name a class or function that makes one world, and armctl makes as many as it needs"
 SCORING = {"success_return", "disturbances"}
 """Options for environments of others, which these do not get to see."""
 
@@ -89,9 +88,16 @@ def task_of(env: str) -> type[Any]:
 
 def _make_third_party(spec: EnvSpec, options: Mapping[str, Any], render_mode: str | None) -> gymnasium.Env[Any, Any]:
     rendering: dict[str, Any] = {} if render_mode is None else {"render_mode": render_mode}
+    if spec.entry_point is None:
+        raise ConfigurationError(f"{spec.id} makes vector environments only: {ONE_WORLD}")
     with wrap_errors(spec.id):
         _check_options(spec, options)
-        return gymnasium.make(spec, disable_env_checker=True, **rendering, **options)
+        try:
+            return gymnasium.make(spec, disable_env_checker=True, **rendering, **options)
+        except TypeError as error:
+            if "must inherit from the gymnasium.Env class" not in str(error):
+                raise
+            raise ConfigurationError(f"{spec.id} makes no gymnasium.Env: {ONE_WORLD}") from error
 
 
 def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:
@@ -101,6 +107,10 @@ def _check_options(spec: EnvSpec, options: Mapping[str, Any]) -> None:
         raise ConfigurationError(f"max_episode_steps is a whole number from 1 on, not {steps!r}")
     maker = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     parameters = inspect.signature(maker).parameters if maker else {}
+    for name in parameters.keys() - {"self", *options, *spec.kwargs}:
+        parameter = parameters[name]
+        if parameter.default is parameter.empty and parameter.kind is parameter.POSITIONAL_OR_KEYWORD:
+            raise ConfigurationError(f"{spec.id} needs its option {name}: --set {name}=VALUE")
     if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
         return
     allowed = {*parameters, "max_episode_steps", *SCORING, RETURN_BOUNDS} - RESERVED - {"self"}

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import sys
 import uuid
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -15,6 +16,7 @@ import cloudpickle
 from armctl.agents import FILES
 from armctl.core.errors import ConfigurationError, EnvironmentFailed, format_cause
 from armctl.envs import EpisodeVectorEnv
+from armctl.envs.find import maker_in_script
 from armctl.episodes.failures import FirstEpisodes, PolicyDisqualified, PolicyFailed, until_unplayable
 from armctl.episodes.record import EpisodeResult
 from armctl.policies import Policy, PolicyFactory, WorldsByInterface, configured
@@ -48,7 +50,12 @@ class WorkerConfig:
     """Class of the worlds."""
     recording: Callable[[EpisodeVectorEnv], Any] | None = field(default=None, compare=False)
     """Wrapper of the worlds that records their episodes."""
+    maker: Any = field(init=False, compare=False)
+    """Class or function of the script that makes the environment; None: it can be found by its name."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "maker", maker_in_script(self.env))
 
 
 @dataclass(frozen=True)
@@ -234,6 +241,8 @@ def _actor(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
     if (config, name) not in _present:
         while _present:
             _present.popitem()[1][0].close()
+        if config.maker is not None:  # another process has another script
+            vars(sys.modules["__main__"]).setdefault(config.env.rpartition(":")[2], config.maker)
         interfaces = config.interfaces(config.env, config.num_envs, config.env_options, threads=1)
         worlds = interfaces.of(policy)
         actor, construction_ms = build_timed(policy, worlds, name, config.policy_seed)
