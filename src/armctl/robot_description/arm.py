@@ -20,6 +20,7 @@ from armctl.kernels.drives import DRIVE
 from armctl.robot_description.builtin import BUILTIN_ARMS, MAX_ACCELERATION
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing, posture_above_floor
+from armctl.robot_description.drawn_shapes import drawn_shapes
 from armctl.robot_description.notes import (
     in_words,
     note_on_home,
@@ -60,7 +61,8 @@ class ArmDescription:
     """A serial arm: one URDF text for all libraries, and what a URDF does not contain.
 
     In `urdf` the joints from root to `tip` are movable, all others are fixed, and there is no geometry. `meshes` are
-    visual only. Collisions are those of the `capsules`, one per link with a shape, in the pairs `collision_pairs`.
+    visual only: what a file draws of a link, or else its collision shapes. Collisions are those of the `capsules`, one
+    per link with a collision shape, in the pairs `collision_pairs`.
     """
 
     name: str
@@ -205,6 +207,7 @@ def _read_arm(
         MAX_ACCELERATION if max_acceleration == (MAX_ACCELERATION,) else None,
         MAX_JERK if max_jerk == (MAX_JERK,) else None,
     )
+    meshes = tuple(shape for shape in shapes if len(shape.triangles)) if builtin else drawn_shapes(source, shapes)
     on_model = notes_on_model(text, source.tip, capsules)
     notes = () if builtin else (*source.notes, *on_model, *notes_on_pairs(pairs), *assumed)
     tell(path, notes)
@@ -216,7 +219,7 @@ def _read_arm(
         home=home_position,
         limits=joint_limits,
         capsules=capsules,
-        meshes=tuple(shape for shape in shapes if len(shape.triangles)),
+        meshes=meshes,
         collision_pairs=pairs.tested,
         notes=notes,
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.core.errors import reason
+from armctl.robot_description.collada import read_collada
 from armctl.robot_description.xml_file import short
 
 PATH = 80
@@ -67,13 +68,9 @@ class Meshes:
             raise MeshError("is empty")
         if not (np.abs(vertices) <= LARGEST).all():
             raise MeshError(f"has coordinates that are not numbers, or beyond {LARGEST:g} m")
-        centred = vertices - vertices.mean(axis=0)
-        extent = np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0)
-        if extent.min() < THINNEST:
-            raise MeshError(f"is flat: its thickness is {extent.min():.1g} m, and should be {THINNEST:g} m or more")
-        if extent.prod() < SMALLEST:
-            raise MeshError(f"is tiny: it is {extent.max():.1g} m long")
-        corners = centred[triangles]
+        if problem := thinness(vertices):
+            raise MeshError(problem)
+        corners = (vertices - vertices.mean(axis=0))[triangles]
         inside_out = np.linalg.det(corners).sum() < 0  # mirrored by its scale, or by a node of its file
         return vertices, triangles[:, ::-1] if inside_out else triangles
 
@@ -119,6 +116,15 @@ class Meshes:
         return [(self.package, self.package / inside), (self.package, self.package / rest), *shared]
 
 
+def thinness(vertices: Array) -> str | None:
+    """Return in which way a shape is too thin or small for MuJoCo, if it is."""
+    centred = vertices - vertices.mean(axis=0)
+    extent = np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0)
+    if extent.min() < THINNEST:
+        return f"is flat: its thickness is {extent.min():.1g} m, and should be {THINNEST:g} m or more"
+    return f"is tiny: it is {extent.max():.1g} m long" if extent.prod() < SMALLEST else None
+
+
 def _in_other_case(folder: Path, path: Path) -> Path | None:
     """Return the file below a folder whose path differs from this one in upper and lower case only."""
     for part in path.relative_to(folder).parts:
@@ -137,7 +143,11 @@ def _parse(path: Path, content: bytes, scale: Array) -> tuple[Array, NDArray[np.
             ElementTree.XMLParser(target=limited).feed(content)
         except ElementTree.ParseError as error:
             raise MeshError(f"cannot be read: {error}") from error
-        scale = scale * limited.metres
+        try:
+            vertices, triangles = read_collada(content)
+        except (ArithmeticError, ElementTree.ParseError, LookupError, StopIteration, ValueError) as error:
+            raise MeshError(f"cannot be read: {error}") from error
+        return vertices * scale * limited.metres, triangles.astype(np.int32)
     elif path.suffix.lower() == ".obj":
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "mesh.obj"
@@ -164,7 +174,9 @@ def _shape_of_obj(content: bytes) -> bytes:
 def _load(path: Path, scale: Array) -> tuple[Array, NDArray[np.int32]]:
     try:
         mesh = coal.MeshLoader().load(str(path), scale)
-        triangles = [[mesh.tri_indices(i)[corner] for corner in range(3)] for i in range(mesh.num_tris)]
+        triangles = [
+            (triangle[0], triangle[1], triangle[2]) for triangle in map(mesh.tri_indices, range(mesh.num_tris))
+        ]
         return np.array(mesh.vertices()).reshape(-1, 3), np.array(triangles, dtype=np.int32).reshape(-1, 3)
     except (ValueError, RuntimeError) as error:
         raise MeshError("cannot be read") from error

@@ -47,7 +47,7 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A collision shape in its link's frame: vertices (k, 3) m, and triangles (m, 3) if it is a mesh."""
+    """A shape in its link's frame: vertices (k, 3) m, and triangles (m, 3) if it is a mesh."""
 
     link: str
     vertices: Array
@@ -63,7 +63,7 @@ class Urdf:
     """
 
     def __init__(self, path: Path, tip: str | None, package: Path) -> None:
-        self.path, self._meshes = path, Meshes(path, package)
+        self.path, self._meshes, self._visual_meshes = path, Meshes(path, package), Meshes(path, package)
         self.notes: list[str] = []
         """Repairs, omissions and assumptions, a sentence each."""
         self._robot = read_xml(path)
@@ -109,7 +109,19 @@ class Urdf:
         collisions = [(name, element) for name, link in self._links.items() for element in link.findall("collision")]
         if len(collisions) > MAX_SHAPES:
             raise self._error(f"it has {len(collisions)} collision shapes; at most {MAX_SHAPES} are allowed")
-        return tuple(self._shape(name, collision) for name, collision in collisions)
+        return tuple(self._shape(name, collision, self._meshes) for name, collision in collisions)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of all links."""
+        return tuple(self._links)
+
+    def visuals(self, link: str) -> list[Shape]:
+        """Return the visual shapes of a link."""
+        visuals = self._links[link].findall("visual")
+        if len(visuals) > MAX_SHAPES:
+            raise self._error(f"it has {len(visuals)} visual shapes; at most {MAX_SHAPES} are allowed")
+        return [self._shape(link, visual, self._visual_meshes) for visual in visuals]
 
     def _copied_inertial(self, link: str, inertial: Element) -> Element:
         copy = ElementTree.Element("inertial")
@@ -257,15 +269,15 @@ class Urdf:
                     "has: they were raised, so that two of them are together as large as the third."
                 )
 
-    def _shape(self, link: str, collision: Element) -> Shape:
-        geometry = collision.find("geometry")
+    def _shape(self, link: str, element: Element, meshes: Meshes) -> Shape:
+        geometry = element.find("geometry")
         shape = None if geometry is None else next(iter(geometry), None)
         if shape is None:
-            raise self._error(f"link {link!r} has a <collision> without a shape")
+            raise self._error(f"link {link!r} has a <{element.tag}> without a shape")
         description = f"<{shape.tag}> of link {link!r}"
         triangles = np.empty((0, 3), dtype=np.int32)
         if shape.tag == "mesh":
-            vertices, triangles = self._mesh(shape, description)
+            vertices, triangles = self._mesh(shape, description, meshes)
         elif shape.tag == "box":
             size = self._numbers(shape, "size", description, 3)
             vertices = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * self._positive(size, description)
@@ -278,15 +290,15 @@ class Urdf:
         else:
             raise self._error(f"it has a {description}; armctl supports mesh, box, cylinder and sphere")
         placement = pinocchio.SE3.Identity()
-        if (origin := collision.find("origin")) is not None:
+        if (origin := element.find("origin")) is not None:
             rotation = pinocchio.rpy.rpyToMatrix(self._numbers(origin, "rpy", description, 3, "0 0 0"))
             placement = pinocchio.SE3(rotation, self._numbers(origin, "xyz", description, 3, "0 0 0"))
         return Shape(link, vertices @ placement.rotation.T + placement.translation, triangles)
 
-    def _mesh(self, shape: Element, description: str) -> tuple[Array, NDArray[np.int32]]:
+    def _mesh(self, shape: Element, description: str, meshes: Meshes) -> tuple[Array, NDArray[np.int32]]:
         filename = shape.get("filename", "")
         try:
-            return self._meshes.read(filename, self._numbers(shape, "scale", description, 3, "1 1 1"))
+            return meshes.read(filename, self._numbers(shape, "scale", description, 3, "1 1 1"))
         except MeshError as error:
             raise self._error(f"the mesh {short(filename, PATH)} of a {description} {error}") from error
 
