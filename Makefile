@@ -10,9 +10,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Installs, and names each package as it is fetched; errors are on standard error, and the status is that of pip.
+NAMED = { $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --constraint constraints.txt $(1); \
+  echo $$? > $(VENV)/status; } | sed -u -n 's/^Collecting \([^ ]*\).*/  \1/p; s/^Installing collected.*/  unpacking: minutes/p'; \
+  exit $$(cat $(VENV)/status)
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
 UV := $(BIN)/uv --quiet
+COMMA := ,
 # It asks for Gymnasium 0.29, and so cannot be resolved beside armctl; what examples/ use of it works with newer ones.
 IMITATION := imitation==1.0.1
 # It asks for Python before 3.11, and is run with newer libraries, unchanged, in examples/cleanrl_unmodified.py.
@@ -96,12 +101,12 @@ $(VENV)/python:
 
 $(VENV)/core: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl into $(VENV) ..."
-	@$(PIP) --editable . || { echo "The installation failed: see above; it needs a package index and about 2 GB."; exit 1; }
+	@($(call NAMED,--editable .)) || { echo "The installation failed: see above; it needs a package index and about 2 GB."; exit 1; }
 	@touch $@
 
 $(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl with all extras into $(VENV) ..."
-	@$(PIP) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 9 GB."; exit 1; }
+	@($(call NAMED,--editable '.[rl$(COMMA)dev]')) || { echo "The installation failed: see above; it needs a package index and up to 9 GB."; exit 1; }
 	@$(PIP) --no-deps $(IMITATION) || { echo "The installation of $(IMITATION) failed: see above."; exit 1; }
 	@$(PIP) --no-deps --ignore-requires-python $(CLEANRL) || { echo "The installation of $(CLEANRL) failed: see above."; exit 1; }
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --upgrade --target $(VENV)/lerobot $(LEROBOT) || \

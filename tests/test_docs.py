@@ -134,7 +134,7 @@ def test_every_command_is_one_that_there_is(page):
                 case ["python", script, *_]:
                     assert (ROOT / script).exists(), script
                 case [program, *_]:
-                    assert program in ("cp", "pip", ".venv/bin/pip", "rerun", "source", "ssh"), words
+                    assert program in ("cp", "docker", "pip", ".venv/bin/pip", "rerun", "source", "ssh"), words
 
 
 def _check(verb, arguments):

@@ -4,11 +4,11 @@ import os
 import sys
 from typing import NoReturn
 
-from armctl.cli import catalogue, compare, evaluate, export, learn, play, share, tune
+from armctl.cli import catalogue, compare, evaluate, export, learn, new, play, share, tune
 from armctl.cli.app import app, settings
 from armctl.core.errors import ArmctlError, format_cause
 
-__all__ = ["app", "catalogue", "compare", "evaluate", "export", "learn", "main", "play", "share", "tune"]
+__all__ = ["app", "catalogue", "compare", "evaluate", "export", "learn", "main", "new", "play", "share", "tune"]
 
 TRACEBACK = "--traceback"
 

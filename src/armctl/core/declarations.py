@@ -1,4 +1,4 @@
-"""What classes and functions declare in their source: texts and numbers, read without importing anything heavy."""
+"""Declarations of classes and functions, texts and numbers in their source, read without importing anything heavy."""
 
 import ast
 import contextlib

@@ -1,4 +1,4 @@
-"""What policies get for what they declare to see."""
+"""Privileges as they are granted: a policy gets what it declares to see."""
 
 from collections.abc import Mapping
 from typing import Any
