@@ -69,7 +69,8 @@ def _is_used(block):
 
 def commands(text):
     """A shell block's commands, split into words, without comments."""
-    return [words for line in text.splitlines() if (words := shlex.split(line, comments=True))]
+    lines = text.replace("\\\n", " ").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 
 @each_page
