@@ -74,6 +74,12 @@ def commands(text):
 
 
 @each_page
+def test_commands_fit_into_80_columns(page):
+    long = [line for block in blocks(page) if block.kind == "sh" for line in block.text.splitlines() if len(line) > 80]
+    assert not long
+
+
+@each_page
 def test_every_block_says_what_it_is(page):
     for kind, note, text in blocks(page):
         assert kind in ("python", "sh", "toml", "text"), f"a fence without a kind: {text}"
@@ -135,7 +141,7 @@ def test_every_command_is_one_that_there_is(page):
                 case ["python", script, *_]:
                     assert (ROOT / script).exists(), script
                 case [program, *_]:
-                    assert program in ("cp", "docker", "pip", ".venv/bin/pip", "rerun", "source", "ssh"), words
+                    assert program in ("cp", "docker", "mkdir", "pip", ".venv/bin/pip", "rerun", "source", "ssh"), words
 
 
 def _check(verb, arguments):
