@@ -1,9 +1,11 @@
 """Finds and reads the meshes of a URDF, only those below its own package: a URDF may come from a stranger."""
 
 import itertools
+import math
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -123,6 +125,17 @@ def thinness(vertices: Array) -> str | None:
     if extent.min() < THINNEST:
         return f"is flat: its thickness is {extent.min():.1g} m, and should be {THINNEST:g} m or more"
     return f"is tiny: it is {extent.max():.1g} m long" if extent.prod() < SMALLEST else None
+
+
+def rings(shape: str, radius: float, half_length: float, points: int = 24) -> Iterator[tuple[float, float, float]]:
+    """Return points on rings around z that enclose a shape: the two rims of a cylinder, or parallels of a sphere."""
+    radius /= math.cos(math.pi / points)
+    levels = [(radius, -half_length), (radius, half_length)]
+    if shape == "sphere":
+        levels = [(radius * math.cos(a), radius * math.sin(a)) for a in np.linspace(-np.pi / 2, np.pi / 2, points)]
+    for ring_radius, z in levels:
+        for angle in np.linspace(0, 2 * math.pi, points, endpoint=False):
+            yield ring_radius * math.cos(angle), ring_radius * math.sin(angle), z
 
 
 def _in_other_case(folder: Path, path: Path) -> Path | None:

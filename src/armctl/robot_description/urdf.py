@@ -8,7 +8,6 @@ import itertools
 import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.file_notes import notes_on_file
-from armctl.robot_description.meshes import PATH, MeshError, Meshes
+from armctl.robot_description.meshes import PATH, MeshError, Meshes, rings
 from armctl.robot_description.xml_file import Element, read_xml, short
 
 FULL_TURN = 2 * math.pi
@@ -37,6 +36,8 @@ MIN_AXIS = 1e-6
 """Least length of a joint's axis, which is then made 1."""
 MIN_MASS = 1e-9
 """kg: least mass of a link that has one."""
+LIGHT = 1e-3
+"""kg: largest mass of a frame that may be left out."""
 MIN_INERTIA = 1e-14
 """kg m^2: least principal moment; MuJoCo's own limit is near."""
 MENDED, ROUND_OFF = 0.01, 1e-12
@@ -257,6 +258,10 @@ class Urdf:
             inertial = link.find("inertial")
             if not self._mass[name] or inertial is None:
                 continue
+            if self._is_negligible(name, inertial):
+                self.notes.append(f"Link {name!r} has no inertia that a body can have: it is taken to have no mass.")
+                self._mass[name] = 0.0
+                continue
             small, medium, large = _principal(self._moments(name, inertial))
             if small < MIN_INERTIA or small + medium < large * (1 - MENDED):
                 raise self._error(
@@ -268,6 +273,17 @@ class Urdf:
                     f"Link {name!r} has principal moments {small:.7g}, {medium:.7g}, {large:.7g} kg m^2, which no body "
                     "has: they were raised, so that two of them are together as large as the third."
                 )
+
+    def _is_negligible(self, link: str, inertial: Element) -> bool:
+        """Return True if a link without inertia is a light frame on another link, or belongs to the base."""
+        inertia = inertial.find("inertia")
+        if inertia is not None and _principal(self._moments(link, inertial))[0] >= MIN_INERTIA:
+            return False
+        joint_above = {_end(joint, "child"): joint for joint in self._joints}
+        at = link
+        while at in joint_above and joint_above[at] not in self._chain:
+            at = _end(joint_above[at], "parent")
+        return at not in joint_above or (at != link and self._mass[link] <= LIGHT)
 
     def _shape(self, link: str, element: Element, meshes: Meshes) -> Shape:
         geometry = element.find("geometry")
@@ -286,7 +302,7 @@ class Urdf:
             length = 0.0
             if shape.tag == "cylinder":
                 length = self._positive(self._numbers(shape, "length", description, 1), description)[0]
-            vertices = np.array(list(_rings(shape.tag, radius, length / 2)))
+            vertices = np.array(list(rings(shape.tag, radius, length / 2)))
         else:
             raise self._error(f"it has a {description}; armctl supports mesh, box, cylinder and sphere")
         placement = pinocchio.SE3.Identity()
@@ -332,14 +348,3 @@ def _principal(moments: dict[str, float]) -> Array:
 def _end(joint: Element, tag: str) -> str:
     element = joint.find(tag)
     return "" if element is None else element.get("link", "")
-
-
-def _rings(shape: str, radius: float, half_length: float, points: int = 24) -> Iterator[tuple[float, float, float]]:
-    """Return points on rings around z that enclose a shape: the two rims of a cylinder, or parallels of a sphere."""
-    radius /= math.cos(math.pi / points)
-    levels = [(radius, -half_length), (radius, half_length)]
-    if shape == "sphere":
-        levels = [(radius * math.cos(a), radius * math.sin(a)) for a in np.linspace(-np.pi / 2, np.pi / 2, points)]
-    for ring_radius, z in levels:
-        for angle in np.linspace(0, FULL_TURN, points, endpoint=False):
-            yield ring_radius * math.cos(angle), ring_radius * math.sin(angle), z
