@@ -1,5 +1,6 @@
 import io
 import json
+import os
 import re
 import shutil
 import signal
@@ -32,6 +33,20 @@ def test_help_has_no_types_of_flags_and_breaks_none(verb, tmp_path):
     text = program(verb, "--help", cwd=tmp_path, COLUMNS="80").stdout
     assert "<bool>" not in text + program("--help", cwd=tmp_path).stdout
     assert not re.search(r"<(int|float|str|path|table|bool)|34028236", text.replace("<list[str]>", ""))
+
+
+def test_help_is_a_word_too(tmp_path):
+    assert armctl("help", cwd=tmp_path).stdout == armctl("--help", cwd=tmp_path).stdout
+    assert armctl("help", "plan", cwd=tmp_path).stdout == armctl("plan", "--help", cwd=tmp_path).stdout
+
+
+def test_an_error_in_a_terminal_is_broken_between_words(tmp_path):
+    code = f"import pty; pty.spawn([{ARMCTL!r}, 'run', 'reach_ki'])"
+    environment = os.environ | {"COLUMNS": "60", "NO_COLOR": "1", "TERM": "xterm"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    lines = done.stdout.replace("\r", "").splitlines()
+    assert max(map(len, lines)) <= 60
+    assert "bridge_moving_state_ppo," in " ".join(lines).split()
 
 
 def test_help_loads_no_simulator():

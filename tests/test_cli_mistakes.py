@@ -37,6 +37,8 @@ class Made:
         (["compare", "random", "--set", "robot"], "NAME=VALUE"),
         (["compare", "none.json"], "there is no agent"),
         (["run", "random", "--env", "armctl/Reach-v0"], "ArmReach"),
+        (["run", "random", "--env", "Reach"], "Did you mean 'ArmReach-v0'"),
+        (["run", "random", "--env", "Pendulun-v1"], "Did you mean 'Pendulum-v1'"),
         (["run", "random", "--set", "robot=two.urdf"], r"2 leaf links \(left, right\).*`--set tip=LINK`"),
         (["run", "random", "--set", "robot=two.urdf", "--set", "tip=lift"], "Did you mean 'left'.*base, left, right"),
         (["reproduce", "reach_ik"], "reach_ik is not a learned agent: .* Agents are .*reach_ppo"),

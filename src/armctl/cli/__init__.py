@@ -19,6 +19,8 @@ def main() -> NoReturn:
     words = sys.argv[1:]
     if TRACEBACK in words:  # an option of the application, which Typer knows before the verb only
         words = [TRACEBACK, *(word for word in words if word != TRACEBACK)]
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
     try:
         app(words, prog_name="armctl")
     except ArmctlError as error:
@@ -28,6 +30,7 @@ def main() -> NoReturn:
 
         if settings.traceback:
             print(printable(format_cause(error)), file=sys.stderr)
-        PlainConsole(stderr=True).print(Text.assemble(("armctl: ", "red"), str(error)), soft_wrap=True)
+        console = PlainConsole(stderr=True)  # a terminal breaks lines within words, and a file has its own width
+        console.print(Text.assemble(("armctl: ", "red"), str(error)), soft_wrap=not console.is_terminal)
         sys.exit(2)
     sys.exit(0)

@@ -141,11 +141,16 @@ def _hint(name: str, loaded: ModuleType | None) -> str:
         return f" Name what makes it in that file: {name}:NAME"
     if "." in name and all(part.isidentifier() for part in name.split(".")):
         return f" A class or function stands after a colon: {':'.join(name.rsplit('.', 1))}"
-    short = [id_.rpartition("/")[2] for id_ in gymnasium.registry]
+    tasks = environment_names()
+    near = next(filter(None, (nearest(name, [*ids, *map(_short, ids)]) for ids in (tasks, gymnasium.registry))), "")
     return (
-        f"{nearest(name, [*gymnasium.registry, *short])} There are: {', '.join(environment_names())}, those that "
+        f"{near} There are: {', '.join(tasks)}, those that "
         "Gymnasium knows, such as Pendulum-v1, and yours: file.py:NAME"
     )
+
+
+def _short(env_id: str) -> str:
+    return env_id.rpartition("/")[2]
 
 
 @contextmanager
