@@ -23,6 +23,7 @@ from armctl.episodes.store import CellWriter
 from armctl.study import cell as playing
 from armctl.study.results import read_comparison
 
+from ..command_line import armctl
 from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, files, same_dataset, wait_for_episodes, worlds
 
 LIMITED = """
@@ -51,26 +52,16 @@ def kill_until_finished(out, kills, rng):
         if finished:  # nothing of it is lost, unless it has become the dataset
             kept = len(list((out / "unfinished").glob("episode_*.npz")))
             assert kept >= finished or (out / "data/metadata.json").exists()
-    process = begin(out)
-    output, errors = process.communicate()
-    assert process.returncode == 0, errors
-    return output
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0])
-def test_a_killed_collection_resumes_to_the_same_dataset(uninterrupted, seed, tmp_path):
-    output = kill_until_finished(tmp_path / "killed-v0", 2, random.Random(seed))
-    assert "were there already" in output
-    assert same_dataset(tmp_path / "killed-v0", uninterrupted)
-    assert len(read_demonstrations(tmp_path / "killed-v0", worlds())) == EPISODES
+    return armctl(*COMMAND, "--out", out, cwd=out.parent).stdout
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in range(2, 6))])
 def test_a_collection_that_is_killed_again_and_again_resumes_to_the_same_dataset(uninterrupted, seed, tmp_path):
-    kill_until_finished(tmp_path / "killed-v0", 5, random.Random(seed))
+    output = kill_until_finished(tmp_path / "killed-v0", 5, random.Random(seed))
+    assert "were there already" in output
     assert same_dataset(tmp_path / "killed-v0", uninterrupted)
+    assert len(read_demonstrations(tmp_path / "killed-v0", worlds())) == EPISODES
 
 
 @pytest.mark.slow
@@ -85,7 +76,7 @@ def test_ctrl_c_leaves_a_dataset_of_the_finished_episodes_and_the_same_command_r
     read = read_demonstrations(out, worlds())
     assert 40 <= len(read) < EPISODES
     assert f"{len(read)} episodes of random" in output
-    again = subprocess.run([ARMCTL, *COMMAND, "--out", out], check=True, capture_output=True, text=True)
+    again = armctl(*COMMAND, "--out", out, cwd=tmp_path)
     assert f"{len(read)} of {EPISODES} episodes were there already" in again.stdout
     assert same_dataset(out, uninterrupted)
 

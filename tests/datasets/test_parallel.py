@@ -13,6 +13,7 @@ from armctl.datasets.minari import read_demonstrations
 from armctl.episodes import PolicyFailed
 from armctl.runtime.workers import WorkersFailed
 
+from ..command_line import armctl
 from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, same_dataset, wait_for_episodes, worlds
 
 
@@ -40,10 +41,9 @@ def test_what_one_process_began_workers_finish(interrupted, tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_workers_have_finished_and_the_same_command_resumes(uninterrupted, tmp_path):
     """Sent to all processes, as a terminal does."""
-    command = [ARMCTL, *COMMAND, "--worlds", "2", "--workers", "2", "--out", tmp_path / "here-v0"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
+    command = [*COMMAND, "--worlds", "2", "--workers", "2", "--out", tmp_path / "here-v0"]
+    begun = ["nice", ARMCTL, *command]  # so that it cannot finish before this process gets to interrupt it
+    with subprocess.Popen(begun, stdout=-1, stderr=-1, text=True, start_new_session=True) as process:
         wait_for_episodes(process, tmp_path / "here-v0", 10)
         os.killpg(process.pid, signal.SIGINT)
         output, errors = process.communicate(timeout=120)
@@ -51,7 +51,7 @@ def test_ctrl_c_keeps_what_workers_have_finished_and_the_same_command_resumes(un
     assert "The same command resumes" in output
     assert "Traceback" not in errors
     assert 10 <= len(read_demonstrations(tmp_path / "here-v0", worlds())) < EPISODES
-    again = subprocess.run(command, check=True, capture_output=True, text=True)
+    again = armctl(*command, cwd=tmp_path)
     assert "were there already" in again.stdout
     assert same_dataset(tmp_path / "here-v0", uninterrupted)
 

@@ -1,9 +1,7 @@
 import json
-import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from importlib import resources
 from pathlib import Path
@@ -25,6 +23,8 @@ from armctl.rollout import evaluate
 from armctl.tasks import BridgeTask, ReachTask
 from armctl.tasks.bridge.bridge import LEARNER_VELOCITY
 from armctl.training.learners import load_recipe
+
+from ...command_line import ARMCTL, armctl
 
 SMALL = {
     "steps": 1024,
@@ -106,13 +106,11 @@ def test_another_gamma_is_another_training(trained):
 
 @pytest.mark.slow
 def test_an_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path):
-    armctl = str(Path(sys.executable).parent / "armctl")
     options = ("evaluation_every=20000", "validation_episodes=10", "evaluation_episodes=10")
-    command = [armctl, "train", "reach_ppo", "--shaping", "none", "--out", "run"]
+    command = ["train", "reach_ppo", "--shaping", "none", "--out", "run"]
     command += [word for option in options for word in ("--option", option)]
-    with subprocess.Popen(
-        [*command, "--steps", "1000000"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
+    begun = [ARMCTL, *command, "--steps", "1000000"]
+    with subprocess.Popen(begun, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         for _ in range(900):
             time.sleep(0.1)
             if (tmp_path / "run" / "curve.csv").exists():
@@ -125,8 +123,7 @@ def test_an_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path):
     at = max(int(path.stem) for path in (tmp_path / "run" / "checkpoints").glob("[0-9]*.zip"))
     assert at > 0
     before = (tmp_path / "run" / "curve.csv").read_text()
-    longer = ["--resume", "--steps", str(at + 4000)]
-    subprocess.run([*command, *longer], cwd=tmp_path, check=True, env=os.environ, capture_output=True)
+    armctl(*command, "--resume", "--steps", str(at + 4000), cwd=tmp_path)
     assert (tmp_path / "run" / "curve.csv").read_text().startswith(before)
     card = json.loads((tmp_path / "run" / "agent.json").read_text())
     assert at + 4000 <= card["training_steps"] < at + 14_000
