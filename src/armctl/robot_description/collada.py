@@ -127,8 +127,8 @@ def _child(element: Element, path: str) -> Element:
 
 
 def _floats(element: Element) -> Array:
-    return np.array((element.text or "").split(), dtype=float)
+    return np.fromstring((element.text or "").strip(), dtype=float, sep=" ")
 
 
 def _integers(element: Element) -> NDArray[np.int64]:
-    return np.array((element.text or "").split(), dtype=np.int64)
+    return np.fromstring((element.text or "").strip(), dtype=np.int64, sep=" ")
