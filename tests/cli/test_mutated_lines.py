@@ -1,0 +1,188 @@
+"""Valid command lines of which one part is changed: each works, or is refused in words; never a traceback."""
+
+import random
+from typing import Any
+
+import pytest
+import typer
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from armctl.cli import app
+from armctl.core.console import CONTROLS
+
+from ..command_line import armctl
+from ..fuzz.test_command_lines import CODE, HOSTILE, VALUES, copied, home  # noqa: F401 - a fixture
+
+ENDS_THE_PROCESS = {"os:_exit"}
+WRONG = [word for word in (*HOSTILE, *CODE, *VALUES) if word not in ENDS_THE_PROCESS]
+NUMBERS = [
+    "-1",
+    "0",
+    "1",
+    "2",
+    "3",
+    "0.5",
+    "-0.0",
+    "1e400",
+    "1e-400",
+    "nan",
+    "-inf",
+    "9" * 30,
+    "9" * 400,
+    "1_0",
+    "٣",
+    " 1",
+    "0x1",
+]
+ARM, ODD = ("--env", "armctl/ArmReach-v0"), ("--env", "odd.py:Still")
+SHORT = ("--set", "max_episode_steps=2")
+FORMATS = [("--format", name) for name in ("table", "json", "csv", "latex", "markdown")]
+POLICY_SEEDS = [("--policy-seed", text) for text in ("0", "7", str(2**127))]
+SEEDS = [("--seed", "0"), ("--seed", "7"), ("--seed", str(10**8 - 1))]
+WORLDS, WORKERS = [("--worlds", "1"), ("--worlds", "3")], [("--workers", "1"), ("--on", "local")]
+OUT = [("--out", "new"), ("--out", "new/deeper"), ("--out", "results", "--overwrite")]
+ROBOTS = [("--robot", "ur5"), ("--robot", "ur10")]
+OPTIONS = [("--set", "tolerance=0.1"), ("--set", "control=position"), ("--set", "render_mode=rgb_array")]
+PLAYED = [SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, [*ROBOTS, *OPTIONS]]
+DISTURBED = [("--disturbance", "delay=1"), ("--disturbance", "payload=0,2")]
+LINES: dict[str, Any] = {
+    "list": ([], [[ARM, ODD], ROBOTS, [("--tip", "tool0")]]),
+    "compare": (
+        [("random", "odd.py:still"), ("--episodes", "1"), ARM, SHORT],
+        [*PLAYED, [("--baseline", "random")], [("--margin", "2")], [("--report",)], [("--success-return", "-1")],
+         [("--return-bounds", "-9", "9")], [("--real-time", "0.01"), ("--slow-down", "1")]],
+    ),
+    "sweep": (
+        [("random",), ("--episodes", "1"), ARM, SHORT, ("--disturbance", "delay=1")],
+        [*PLAYED, DISTURBED, [("--success-return", "-1")], [("--return-bounds", "-9", "9")],
+         [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")]],
+    ),
+    "plan": ([("--detect", "10")], [[("--power", "0.9")], [("--pairs", "3")], [("--pilot", "results")], FORMATS]),
+    "report": (
+        [("results",), ("--no-video",)],
+        [[("--out", "new.html")], [ARM, ODD], [("--policy", "odd.py:still"), ("--policy", "random")]],
+    ),
+    "episodes": ([("results",), ("--csv",)], [[("--parquet",)]]),
+    "reproduce": ([("agent.json",)], [SEEDS, WORLDS, [ARM, ODD], FORMATS]),
+    "export": (
+        [("model.zip",), ("--env", "CartPole-v1")],
+        [[("--out", "new.onnx")], [("--trust",)], [("--overwrite",)], [("--algorithm", "ppo")], [*ROBOTS, *OPTIONS],
+         [("--vecnormalize", "none"), ("--vecnormalize", "file")]],
+    ),
+    "run": (
+        [("random",), ARM, ("--episodes", "1"), ("--steps", "1"), SHORT],
+        [SEEDS, POLICY_SEEDS, [("--episode", "3")], [*ROBOTS, *OPTIONS]],
+    ),
+    "collect": (
+        [("random",), ("--out", "data"), ARM, ("--episodes", "1"), SHORT],
+        [SEEDS, WORLDS, WORKERS, POLICY_SEEDS, [("--format", "minari")], [("--overwrite",)], [*ROBOTS, *OPTIONS]],
+    ),
+    "push": (
+        [("agent.json",), ("owner/name",)], [[("--private",)], [("--message", "a new one")], [("--licence", "mit")]],
+    ),
+    "pull": ([("owner/name",)], [[("--out", "new")], [("--overwrite",)]]),
+}  # fmt: skip
+"""Words of each verb's shortest line, in parts; and choices of parts that may come besides."""
+SLOW = {"suite", "train", "tune", "view"}
+"""Verbs that train or serve: `../fuzz/test_command_lines.py` has lines of them that end before that."""
+ELSEWHERE = {"--video", "--watch", "--rerun"}
+"""Options that render, or open a window."""
+
+
+def drawn(verb, rng):
+    """A valid line, in parts."""
+    shortest, choices = LINES[verb]
+    chosen = rng.sample(choices, rng.randint(0 if shortest else 1, min(4, len(choices))))
+    return [*shortest, *(rng.choice(options) for options in chosen)]
+
+
+def mutated(parts, rng):
+    """The words of a line, one part of which is changed."""
+    i = rng.randrange(len(parts))
+    parts, part = [list(part) for part in parts], list(parts[i])
+    k = rng.randrange(len(part))
+    word = part[k]
+    match rng.randrange(10):
+        case 0:
+            del part[k]
+        case 1:
+            part.insert(k, rng.choice(WRONG))
+        case 2:
+            part += part
+        case 3 if "=" in word:
+            name, _, value = word.partition("=")
+            part[k] = rng.choice(
+                [f"{name}=", f"={value}", name, f"{name}={rng.choice(WRONG)}", f"{rng.choice(WRONG)}={value}"]
+            )
+        case 4:
+            j = rng.randrange(len(word) + 1)
+            part[k] = word[:j] + rng.choice(["", "x", "=", "\x1b", "é", " ", "\n", "-"]) + word[j + rng.randint(0, 1) :]
+        case 5:
+            part[k] = word.swapcase()
+        case 6:
+            other = rng.choice(parts)
+            part[k] = rng.choice(other)
+        case _:
+            part[k] = rng.choice(NUMBERS if word.lstrip("-").replace(".", "").isdecimal() else WRONG)
+    parts[i] = part
+    return [word for part in parts for word in part]
+
+
+@pytest.fixture
+def run(home, monkeypatch):  # noqa: F811 - the fixture
+    """Run the words in a copy of the folder, so that no line depends on another."""
+    monkeypatch.setenv("HF_ENDPOINT", "http://127.0.0.1:9")
+    copy = home.with_name("changed")
+
+    def run_words(words):
+        if any("\0" in word for word in words):
+            return 2  # no program can be given that
+        if words[0] == "run" and any(word.isdecimal() and len(word) > 20 for word in words):
+            return 0  # it shows so many episodes, until it is interrupted
+        copied(home, copy)
+        done = armctl(*words, cwd=copy, check=False)
+        said = f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
+        assert done.returncode in (0, 1, 2, 130), said
+        assert "Traceback" not in done.stdout + done.stderr, said
+        assert done.returncode in (0, 130) or (done.stdout + done.stderr).strip(), said
+        assert "Usage: " in done.stderr or not CONTROLS.search(done.stdout + done.stderr), said
+        return done.returncode
+
+    return run_words
+
+
+def test_each_option_is_drawn():
+    """One that is new has a value here."""
+    for verb, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        if verb not in SLOW:
+            shortest, choices = LINES[verb]
+            words = {word for part in (*shortest, *(part for options in choices for part in options)) for word in part}
+            options = {option for parameter in command.params for option in parameter.opts if option.startswith("--")}
+            assert options - words <= {"--help", *ELSEWHERE}, verb
+
+
+@pytest.mark.one_case
+@pytest.mark.parametrize("verb", LINES)
+def test_a_valid_line_is_mostly_fine(run, verb, sized):
+    ended = [
+        run([verb, *(word for part in drawn(verb, random.Random(k)) for word in part)]) for k in range(sized(2, 20))
+    ]
+    played = [status for status in ended if status < 2]  # 1: an agent differs from its card
+    assert verb in ("push", "pull", "export") or len(played) > len(ended) / 2, ended
+
+
+@pytest.mark.one_case
+@pytest.mark.parametrize("verb", LINES)
+def test_a_line_with_one_part_changed_works_or_is_refused(run, verb, sized):
+    count = sized(8, 60)
+
+    checks = list(HealthCheck)
+
+    @settings(max_examples=count, deadline=None, database=None, suppress_health_check=checks, derandomize=count < 50)
+    @given(st.integers(0, 2**63))
+    def each(seed):
+        rng = random.Random(seed)
+        run([verb, *mutated(drawn(verb, rng), rng)])
+
+    each()
