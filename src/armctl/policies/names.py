@@ -2,6 +2,7 @@
 
 import inspect
 import os.path
+import re
 from pathlib import Path
 
 from armctl.agents import CARD
@@ -13,8 +14,10 @@ GROUP = "armctl.policies"
 """Entry-point group under which a package offers policies."""
 UNSKILLED = {"random"}
 """Policies that are only a lower bound: no part of a suite unless a task has no others, nor of a Pareto front."""
-FORMS = (".json", ".onnx", ".toml", ".zip", "]")
-"""Endings of the names of agents, options, models, and trainings of a recipe."""
+FORMS = (".json", ".onnx", ".toml", ".zip")
+"""Endings of the names of agents, options and models."""
+TRAINING = re.compile(r"(?P<recipe>.+)\[(?P<seed>\*|\d{1,18})\]")
+"""Form of the names of one training of a recipe, and of all."""
 
 
 def policy_names() -> list[str]:
@@ -46,7 +49,7 @@ def check_policy_name(name: str) -> None:
     """Raise `ConfigurationError` for a name that has no form of a policy's."""
     if name.endswith(".py"):
         raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")
-    if name not in policy_names() and ":" not in name and not name.endswith(FORMS):
+    if not (name in policy_names() or ":" in name or name.endswith(FORMS) or TRAINING.fullmatch(name)):
         raise unknown_name(
             "policy", name, [*policy_names(), "path/to/agent.json", "path/to/options.toml", "file.py:NAME"]
         )

@@ -14,7 +14,7 @@ from typing import Any
 from armctl.agents import CARD, FILES, AgentCard, read_card
 from armctl.core.errors import AgentFileError, ConfigurationError, unknown_name
 from armctl.core.registration import installed
-from armctl.policies.names import GROUP, agent_cards, with_agent
+from armctl.policies.names import GROUP, TRAINING, agent_cards, with_agent
 
 SEEDS = "seeds"
 """Folder of further trainings, beside the shipped one: `NAME-SEED.json` and `.onnx`."""
@@ -23,12 +23,13 @@ FIELDS_THAT_MUST_MATCH = (
     "curriculum", "teacher", "interface", "learner_options",
 )  # fmt: skip
 """Fields of their cards in which trainings of one recipe agree."""
-_NAME = re.compile(r"(?P<recipe>.+)\[(?P<seed>\*|\d{1,18})\]")
 
 
 def is_seed_group(name: object) -> bool:
     """Return True if this names all trainings of a recipe."""
-    return isinstance(name, (str, Path)) and (match := _NAME.fullmatch(str(name))) is not None and match["seed"] == "*"
+    return (
+        isinstance(name, (str, Path)) and (match := TRAINING.fullmatch(str(name))) is not None and match["seed"] == "*"
+    )
 
 
 def training_card(name: str) -> Path | None:
@@ -36,7 +37,7 @@ def training_card(name: str) -> Path | None:
 
     Raises `ConfigurationError` if there is no such training, or for a whole group, and `AgentFileError`.
     """
-    match = _NAME.fullmatch(name)
+    match = TRAINING.fullmatch(name)
     if match is None:
         return None
     trainings = trainings_of(match["recipe"])
