@@ -166,7 +166,7 @@ def test_other_formats_are_all_that_standard_output_holds(tmp_path):
     assert [policy["success"]["value"] for policy in policies] == [1, 0]
     table = pd.read_csv(io.StringIO(others[0].stdout))
     assert table.success.tolist()[:2] == [1, 0]
-    assert others[1].stdout.startswith("**armctl/ArmReach-v0")
+    assert others[1].stdout.startswith("**No verdict from 2 episodes")
     assert others[2].stdout.startswith("% in the preamble")
     for done in (first, *others):
         assert "has the episodes" not in done.stdout
