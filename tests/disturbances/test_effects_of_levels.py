@@ -10,13 +10,11 @@ from armctl.envs import make_worlds
 from tests.disturbances.disturbed import BRIDGE, REACH, arrays
 
 OBSERVED: list[Any] = [
-    *((env, {"observation": kind}) for env in (REACH, "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0")
-      for kind in ("paper", "features", "full")),
-    *((env, {"observation": kind, "camera": camera, "image_format": pixels})
-      for env in (BRIDGE, "armctl/BridgeCrossMoving-v0") for kind in ("paper", "image")
-      for camera in ("depth", "classes")
-      for pixels in ("float", "uint8")),
-    (BRIDGE, {"observation": "features"}), (BRIDGE, {"observation": "state"}),
+    *((REACH, {"observation": kind}) for kind in ("paper", "features", "full")),
+    ("armctl/ArmReachMoving-v0", {}), ("armctl/ArmReachObstacles-v0", {}), ("armctl/BridgeCrossMoving-v0", {}),
+    *((BRIDGE, {"observation": kind, "camera": camera, "image_format": pixels})
+      for kind in ("paper", "image") for camera in ("depth", "classes") for pixels in ("float", "uint8")),
+    *((BRIDGE, {"observation": kind}) for kind in ("features", "state")),
     (BRIDGE, {"observation": "ranges", "dynamics": "kinematic"}),
     ("Pendulum-v1", {}), ("CartPole-v1", {}), ("FrozenLake-v1", {}),
 ]  # fmt: skip
