@@ -2,10 +2,11 @@
 
 import hashlib
 import os
+from pathlib import Path
 
 import pytest
 
-from armctl.core.files import file_checksum
+from armctl.core.files import file_checksum, write_atomically
 
 
 def test_a_checksum_is_that_of_the_whole_file(tmp_path):
@@ -31,3 +32,22 @@ def test_what_is_no_regular_file_has_no_checksum(make, tmp_path):
 def test_a_missing_file_is_told(tmp_path):
     with pytest.raises(FileNotFoundError):
         file_checksum(tmp_path / "file")
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir], ids=["pipe", "folder"])
+def test_what_is_no_regular_file_is_not_replaced(make, tmp_path):
+    """A device neither: as root, a report replaced `/dev/zero`."""
+    make(tmp_path / "report.html")
+    before = (tmp_path / "report.html").lstat()
+    with pytest.raises(FileExistsError, match="not a regular file"):
+        write_atomically(tmp_path / "report.html", "content")
+    assert (tmp_path / "report.html").lstat() == before
+    assert len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(FileNotFoundError):
+        write_atomically(tmp_path / "nowhere" / "report.html", "content")
+
+
+def test_a_device_is_not_replaced():
+    with pytest.raises(FileExistsError, match="not a regular file"):
+        write_atomically(Path("/dev/zero"), "content")
+    assert Path("/dev/zero").is_char_device()

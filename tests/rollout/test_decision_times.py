@@ -105,7 +105,7 @@ def test_construction_resets_and_decisions_have_their_own_times_in_any_number_of
     again = read_comparison(tmp_path).policies[0]
     assert (again.reset_ms, again.construction_ms) == (sleepy.reset_ms, sleepy.construction_ms)
     said = text_of(found)
-    assert ("ms until the first action" in " ".join(said.split())) == (worlds == 1)
+    assert ("until the first action 2" in " ".join(said.split())) == (worlds == 1)
     assert "; construction " in said
 
 

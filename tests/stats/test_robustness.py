@@ -105,7 +105,9 @@ def test_no_significant_difference_is_not_equivalence(won, equivalent):
     }
     (noise,) = robustness_rankings(many, tests)
     assert noise.equivalent == equivalent
-    assert noise.claim.startswith("all policies are equivalent within 2 points" if equivalent else "undecided")
+    assert noise.claim.startswith(
+        "all policies are equivalent in success within 2 points at all levels" if equivalent else "undecided"
+    )
 
 
 def test_a_drop_that_is_not_significant_is_told_with_its_size():

@@ -303,7 +303,7 @@ def test_what_is_said_of_a_curve_minds_chance():
 def test_the_tables_tell_levels_and_failures(finished):
     text = printed(finished[0])
     assert "noise, m, rad, m/s" in text
-    assert "random: below half from 0 on." in text
+    assert "random: no significant drop, below half from 0 on." in text
 
 
 def test_whoever_recovers_is_not_worse_from_there_on():

@@ -55,19 +55,20 @@ def test_a_policy_that_hardly_moves_is_reported(change, period, reported):
         ({"range_use": WITHIN_RANGE, "speed_use": WITHIN_SPEED}, False, None),
         ({"contacts": None}, False, None),
         ({"contacts": 2}, False, "4 with a forbidden contact"),
-        ({"range_use": 1.02}, False, "4 beyond a joint's range (up to 1.02 times half of it)"),
-        ({"speed_use": 1.31}, False, "4 beyond a speed limit (up to 1.31 times it; an overshoot of the drives, which"),
-        ({"speed_use": 1.31}, True, "4 beyond a speed limit (up to 1.31 times it; by the policy's torques)"),
+        ({"range_use": 1.02}, False, "4 beyond 1.01 times half a joint's range (up to 1.02)"),
+        ({"speed_use": 1.31}, False, "4 beyond 1.2 times a speed limit (up to 1.31, which the drives do not command)"),
+        ({"speed_use": 1.31}, True, "4 beyond 1.2 times a speed limit (up to 1.31)"),
+        ({"contacts": 2, "speed_use": 1.31}, True, "4 with a forbidden contact, 4 beyond 1.2 times"),
     ],
 )
 def test_a_success_that_is_not_clean_has_its_reason(use, torque_control, reason):
     limits = {"contacts": 0, "range_use": 0.5, "speed_use": 0.5} | use
     episodes = [replace(one, success=True, metrics=replace(one.metrics, **limits)) for one in played(4, ("a",))]
-    notes = unclean_notes(EpisodeTable(episodes), torque_control)
-    assert [note.startswith(f"Successes of a that are not clean, of 4: {reason}") for note in notes] == (
+    notes = unclean_notes({"a": EpisodeTable(episodes)}, torque_control)
+    assert [note.startswith(f"4 of 4 successes of a are not clean: {reason}") for note in notes] == (
         [] if reason is None else [True]
     )
     if use.get("contacts", 0) is not None:
         assert clean(EpisodeTable(episodes)).all() == (reason is None)
     lost = [replace(one, success=False) for one in episodes]
-    assert unclean_notes(EpisodeTable(lost), torque_control) == []
+    assert unclean_notes({"a": EpisodeTable(lost)}, torque_control) == []

@@ -64,10 +64,13 @@ def test_random_actions_are_no_part_of_the_front_but_alone():
     assert pareto_front([cheap]) == [cheap]
 
 
-def test_a_dot_is_at_the_median_of_a_control_step_with_its_part_of_the_planning():
-    fast = policy("a", 0.5, ms=0.1, first_decision_ms=None)
-    planner = policy("b", 0.5, ms=0.1, first_decision_ms=300.1, length=Estimate(150.0, None, None))
-    assert [one.decision_ms for one in points([fast, planner])] == [0.1, pytest.approx(2.1)]
+def test_a_dot_is_at_the_time_of_a_control_step_whenever_a_policy_plans():
+    fast, planner, none = (
+        policy("a", 0.5, ms=0.1),
+        policy("b", 0.5, ms=0.1, control_step_ms=2.1),
+        policy("c", 0.5, ms=math.nan),
+    )
+    assert [one.decision_ms for one in points([fast, planner, none])] == [0.1, 2.1]
 
 
 def test_times_that_were_taken_differently_have_no_points():

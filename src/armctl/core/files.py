@@ -4,6 +4,7 @@ A results folder may come from a stranger: nothing in it is written through a sy
 """
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
@@ -42,8 +43,13 @@ _NAME = re.compile(r"\w[\w. +=-]*")
 def write_atomically(path: Path, content: Content) -> None:
     """Write a file as a whole: a reader finds the old one or the new one.
 
-    Raises `OSError`, or what the function raises, and leaves the old file as it was.
+    Raises `OSError`, or what the function raises, and leaves the old file as it was. A device, pipe or folder of that
+    name is not replaced.
     """
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        mode = os.lstat(path).st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
+            raise FileExistsError(errno.EEXIST, "it is not a regular file", str(path))
     with tempfile.NamedTemporaryFile(prefix=UNFINISHED, suffix=path.suffix, dir=path.parent, delete=False) as temporary:
         unfinished = Path(temporary.name)
     try:

@@ -172,9 +172,14 @@ class EpisodeTable(Sequence[EpisodeResult]):
         """Return the decision times of each episode."""
         return self._decision_ms.take(self._rows)
 
+    @property
+    def is_warm(self) -> NDArray[np.bool_]:
+        """(len(self),) whether an episode has decisions, and none of them was the policy's first in its process."""
+        return np.asarray((self.column("length") > 0) & np.isnan(self.column("first_call_ms")))
+
     def first_decision_ms(self) -> Array:
-        """Return the time of the reset with the first decision, of each episode in which that is warm."""
-        warm = (self.column("length") > 0) & np.isnan(self.column("first_call_ms"))
+        """Return the time of the reset with the first decision, of each episode that `is_warm`."""
+        warm = self.is_warm
         first = self._decision_ms.values[self._decision_ms.ends[self._rows[warm]]]
         return np.asarray(np.nan_to_num(self.column("reset_ms")[warm], nan=0.0) + first)
 

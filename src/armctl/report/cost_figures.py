@@ -82,6 +82,4 @@ def trade_off(points: Sequence[Point], styles: Styles, by_success: bool = True) 
         add_point(figure, [point.decision_ms], [point.score.value], [low], [high], style, hover)
     y = SHARE_AXIS | MARGIN if by_success else {"nticks": 6}
     x = {"type": "log", "range": span, "dtick": 1, "tickformat": "~g"}
-    return framed(
-        figure, "median decision with planning, ms", "success" if by_success else "return", x=x, y=y, height=300
-    )
+    return framed(figure, "time of a control step, ms", "success" if by_success else "return", x=x, y=y, height=300)

@@ -108,7 +108,9 @@ def trade_off_plot(policies: Sequence[PolicySummary], styles: style.Styles) -> P
     front = ", ".join(styles[point.label].label for point in pareto_front(policy_points))
     by_success = any(policy.success for policy in policies)
     times = f" Times are {policies[0].timing}." if policies[0].timing else ""
-    dots = "Dots: median decision, with planning; lines: up to the 99th percentile."
+    dots = (
+        "Dots: decision time per control step, reset included, median over episodes; lines: up to the 99th percentile."
+    )
     return Plot(
         cost_figures.trade_off(policy_points, styles, by_success),
         f"{'Success' if by_success else 'Return'} against decision time",

@@ -26,7 +26,7 @@ from armctl.stats.intervals import Estimate
 from armctl.study.levels import setting_name
 from armctl.study.plan import task_name
 from armctl.study.study import Study
-from armctl.study.task_verdict import CHOSEN, TaskVerdict, suite_headline
+from armctl.study.task_verdict import CHOSEN, FIRST, TaskVerdict, suite_headline
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import SPARED
 
@@ -45,7 +45,7 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
     page: dict[str, Any] = {
         "headline": suite_headline(verdicts),
         "suite": suite,
-        "chosen": CHOSEN,
+        "chosen": FIRST if suite.quick else CHOSEN,
         "folder": folder.resolve().name,
         "command": _command(suite),
         "tasks": [{"verdict": task, "short": task_name(task.env), "link": reports.get(task.env)} for task in verdicts],
@@ -191,7 +191,7 @@ def _costs(verdicts: Sequence[TaskVerdict], styles: style.Styles) -> list[Plot]:
     missing = {policy.policy for verdict in verdicts for policy in verdict.policies if _decisions(policy) is None}
     left_out = f" Not shown, trained on data or by unknown decisions: {', '.join(sorted(missing))}." if missing else ""
     return [
-        Plot(suite_figures.cost_plane(timed, "median decision with planning, ms", "ms", ms),
+        Plot(suite_figures.cost_plane(timed, "time of a control step, ms", "ms", ms),
              "Success against decision time", "Decision time"),
         Plot(suite_figures.cost_plane(trained, "decisions in simulation, for training", "decisions", min_decisions),
              "Success against training", "Training", f"Without training: on the left.{left_out}"),

@@ -119,8 +119,13 @@ class TaskPair:
 
     def equivalent(self, margin: float) -> bool:
         """Return True if success differs by less than `margin`: two one-sided tests at 5 % / `num_comparisons`."""
+        return within(self.equivalence_interval, margin)
+
+    @property
+    def equivalence_interval(self) -> Estimate:
+        """Difference in success with the interval that decides equivalence."""
         confidence = 1 - 2 * EQUIVALENCE / self.num_comparisons
-        return within(mover(self.only_classical, self.only_learned, self.episodes, confidence), margin)
+        return mover(self.only_classical, self.only_learned, self.episodes, confidence)
 
 
 def pairwise_by_task(

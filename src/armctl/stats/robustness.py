@@ -150,7 +150,9 @@ class RobustnessRanking:
     episodes: int
     """Number of episodes of the smallest test among these policies."""
     equivalent: bool
-    """True if success of each two of them differs by less than `MARGIN` at all levels."""
+    """True if success of each two of them is shown to differ by less than `MARGIN`, at every level."""
+    differ: bool
+    """True if the test of any two of them is significant, at any level."""
 
     @property
     def leads(self) -> bool:
@@ -162,11 +164,12 @@ class RobustnessRanking:
         """The result, without the levels at which others are worse."""
         if not self.first:
             return "no ranking: fewer than two policies are affected and tested"
+        points = f"{100 * MARGIN:g} points"
         if self.leads:
-            return f"{self.first} leads"
-        if not self.worse and not self.better:
-            if self.equivalent:
-                return f"all policies are equivalent within {100 * MARGIN:g} points"
+            return f"{self.first} leads{f', but by less than {points}' if self.equivalent else ''}"
+        if self.equivalent:
+            return f"all policies are equivalent in success within {points} at all levels"
+        if not self.differ:
             return f"undecided: no significant difference between policies in {self.episodes} episodes"
         beside = [f"not shown to be worse: {', '.join(self.not_worse)}"] if self.not_worse else []
         beside += [f"better {_where(self.better)}"] if self.better else []
@@ -201,8 +204,9 @@ def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, PairedDiff
     tests = {pair: pairs[pair] for pair in _pairs_of(ranked) if pair in pairs}
     adjusted: Any = scipy.stats.false_discovery_control([test.p for test in tests.values()]) if tests else []
     significant = {pair for pair, p in zip(tests, adjusted, strict=True) if p < FALSE_DISCOVERY_RATE}
+    count = scored.disturbance.nunique()
     return [
-        _ranking(str(name), rows, ranked[ranked.disturbance == name], (score, low, high), tests, significant)
+        _ranking(str(name), rows, ranked[ranked.disturbance == name], (score, low, high), tests, significant, count)
         for name, rows in scored.groupby("disturbance", sort=False)
     ]
 
@@ -239,6 +243,7 @@ def _ranking(
     columns: tuple[str, str, str],
     tests: Mapping[PairKey, PairedDifference],
     significant: set[PairKey],
+    num_disturbances: int,
 ) -> RobustnessRanking:
     levels = [float(level) for level in rows.level.unique()]
     names = list(dict.fromkeys(ranked.policy.astype(str)))
@@ -270,7 +275,7 @@ def _ranking(
             better[name] = next((onset for onset in ahead if onset.lasts), ahead[0])
     unit = rows["unit"].iloc[0]
     pairs = {_pair(disturbance, x, levels[0], *two) for x in levels for two in itertools.combinations(names, 2)}
-    own_tests = [test for pair, test in tests.items() if pair in pairs]
+    covered = pairs & tests.keys()
     return RobustnessRanking(
         disturbance,
         first,
@@ -282,9 +287,19 @@ def _ranking(
         f"{levels[-1]:g}{f' ({unit})' if isinstance(unit, str) else ''}",
         {str(row["policy"]): _score(row, columns) for row in ranked[ranked.level == levels[-1]].to_dict("records")},
         "success" if columns == SUCCESS else "share of higher returns",
-        min((test.episodes for test in own_tests), default=0),
-        all(test.equivalent(MARGIN, len(own_tests)) for test in own_tests),
+        min((tests[pair].episodes for pair in covered), default=0),
+        covered == pairs and all(_equivalent(tests[pair], num_disturbances) for pair in covered),
+        not significant.isdisjoint(pairs),
     )
+
+
+def _equivalent(test: PairedDifference, num_disturbances: int) -> bool:
+    """Return True for equivalence in one of so many claims, each of which needs it at all of its levels.
+
+    That all levels must show it needs no correction; that there are several claims does. Groups of trainings are left
+    out, since their interval is for another number of claims.
+    """
+    return test.crossed is None and test.equivalent(MARGIN, num_disturbances)
 
 
 def _score(row: Mapping[Any, Any], columns: tuple[str, str, str]) -> str:

@@ -100,6 +100,12 @@ class Comparison(Displayed):
         return {name: reduce(EpisodeTable.together, trained[name].values()) for name in names}
 
     @property
+    def unclean(self) -> list[str]:
+        """Remarks about successes that are not clean."""
+        is_torque = self.facts.env_options.get("control") == "torque"
+        return unclean_notes(self.counted, is_torque) if len(self.results) else []
+
+    @property
     def verdict(self) -> Verdict | None:
         """Verdict on the better policy, by how much and at what cost; None for a single policy."""
         if len(self.policies) < 2:
@@ -122,7 +128,7 @@ class Comparison(Displayed):
         if self.policies and (infeasible := self.policies[0].infeasible):
             count = f"{infeasible} episodes are labelled infeasible"
             parts.append(Remark(f"{count}; they are left out of all figures, whoever wins them."))
-        parts += [Remark(note, "note") for note in self.notes]
+        parts += [Remark(note, "note") for note in (*self.notes, *self.unclean)]
         parts += [Remark(message, "problem") for message in self.failures.values()]
         if self.resumed:
             parts.append(Remark(f"{self.resumed} episodes were finished by an earlier run."))
@@ -163,7 +169,6 @@ def concluded(
         *([] if facts.return_bounds else [UNBOUNDED]),
         *certificate_notes(results),
         *motion_notes(results, facts.control_period),
-        *unclean_notes(results, facts.env_options.get("control") == "torque"),
         *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),
         *([NO_SUCCESS_SIGNAL.format(env=bare_id(comparison.env))] if by_return else []),
         *(load_notes(results, runs) if latencies else []),

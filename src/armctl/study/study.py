@@ -100,7 +100,7 @@ class Study(Displayed):
         parts: list[Table | Remark] = []
         if self.verdicts:
             parts.append(Remark(f"{suite_headline(self.verdicts)}.", "verdict"))
-            parts.append(task_table(self.verdicts, self.episodes, self.seed))
+            parts.append(task_table(self.verdicts, self.episodes, self.seed, self.quick))
             for verdict in self.verdicts:
                 parts.append(Remark(f"{verdict.task}: {verdict.verdict}.", "verdict"))
                 parts += [Remark(verdict.context)] if verdict.context else []

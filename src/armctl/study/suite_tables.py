@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from armctl.stats.across_tasks import League
-from armctl.study.task_verdict import CHOSEN, TaskVerdict, chosen
+from armctl.study.task_verdict import CHOSEN, FIRST, TaskVerdict, chosen
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Table, p_value, percent
 
 
-def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int) -> Table:
+def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick: bool) -> Table:
     """Return a table with a row for each task: the policies that represent the two kinds, and their difference."""
     columns = [Column("task"), Column("classical"), Column("learned"), Column("difference"), Column("p", optional=True)]
     rows, records = [], []
@@ -32,9 +32,8 @@ def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int) -> Tab
             }
         )  # fmt: skip
     caption = (
-        "The best classical and the best learned policy, undisturbed. "
-        "Difference with MOVER's 95 % interval; p: McNemar's exact test, after Holm's "
-        f"correction for all tasks, and for success and steps together. {CHOSEN}"
+        f"{FIRST if quick else CHOSEN} Undisturbed. Difference with MOVER's 95 % interval; p: McNemar's exact test, "
+        "after Holm's correction for all tasks, and for success and steps together."
     )
     title = f"{len(rows)} tasks: {episodes} episodes of seed {seed} in each setting"
     return Table("tasks", title, columns, rows, records, caption)

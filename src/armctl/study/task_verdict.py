@@ -1,5 +1,6 @@
 """Verdict on a task: classical or learned, by how much, at what cost, and under which disturbances it reverses."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,16 +13,18 @@ from armctl.policies import privileges
 from armctl.runtime.provenance import looks_in_words
 from armctl.stats.across_tasks import Choice, TaskPair, choose, pairwise_by_task, rate_of, values_of
 from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
-from armctl.stats.paired import MARGIN, holm
+from armctl.stats.paired import MARGIN, holm, within
 from armctl.stats.robustness import listed
 from armctl.study.comparison import Comparison
 from armctl.study.task_results import Sweep
 from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.tables import p_value, points, size
 
+FIRST = "The first expert and the first agent of each task's line-up, which no result selected."
+"""Policies of a quick suite, as tables and pages state them."""
 CHOSEN = (
-    "If a kind has several policies, every third undisturbed episode selects the best of them, and only the other "
-    "episodes evaluate it."
+    "The best classical and the best learned policy. If a kind has several, every third undisturbed episode selects "
+    "the best of them, and only the other episodes evaluate it: so the choice does not bias the verdict."
 )
 """Rule of `armctl.stats.across_tasks.choose`, as tables and pages state it."""
 
@@ -82,10 +85,13 @@ class TaskVerdict:
         difference = points(pair.difference)
         if pair.episodes < FEWEST:
             return f"No verdict from {pair.episodes} episode{'s' * (pair.episodes > 1)}: {names}, success {difference}"
+        margin = f"{100 * MARGIN:g} points"
         if pair.better:
-            parts = [f"{_kind(pair.better)} is better: {names}, success {difference}, p = {p_value(pair.p)}"]
+            but = f", but by less than {margin}" if pair.equivalent(MARGIN) else ""
+            parts = [f"{_kind(pair.better)} is better{but}: {names}, success {difference}, p = {p_value(pair.p)}"]
         elif pair.equivalent(MARGIN):
-            parts = [f"Equivalent in success within {100 * MARGIN:g} points: {names}, {difference}"]
+            tests = "" if within(pair.difference, MARGIN) else " (two one-sided tests at 5 %)"
+            parts = [f"Equivalent in success within {margin}{tests}: {names}, {difference}"]
         else:
             parts = [f"Undecided: {names}, success {difference}, p = {p_value(pair.p)}"]
         if pair.faster and pair.steps:
@@ -238,33 +244,34 @@ def suite_headline(verdicts: Sequence[TaskVerdict]) -> str:
 
     `verdicts` are corrected for all tasks, as `Study.verdicts` is.
     """
-    pairs = {short_name(verdict.env): pair for verdict in verdicts if (pair := verdict.undisturbed)}
-    if not pairs:
-        return "No task has both classical and learned results"
-    kinds = {
-        "classical is better": [task for task, pair in pairs.items() if pair.better > 0],
-        "learned is better": [task for task, pair in pairs.items() if pair.better < 0],
-        f"equivalent within {100 * MARGIN:g} points": [task for task, pair in pairs.items() if _is_equivalent(pair)],
-    }
-    undecided = [task for task in pairs if not any(task in tasks for tasks in kinds.values())]
-    parts = [f"{name} in {listed(tasks)}" for name, tasks in kinds.items() if tasks]
-    if undecided:
-        episodes = min(pairs[task].episodes for task in undecided)
-        widest = max(max(map(abs, pairs[task].difference.bounds)) for task in undecided)
-        parts.append(
-            f"undecided in {listed(undecided)}, where {episodes} episodes leave differences up to "
-            f"{100 * widest:.0f} points possible"
-        )
-    for sign, kind in ((1, "classical"), (-1, "learned")):
-        if faster := [task for task, pair in pairs.items() if pair.faster == sign]:
-            parts.append(f"{kind} takes fewer steps in {listed(faster)}")
+    by_claim: dict[str, list[str]] = {"classical is better": [], "learned is better": []}
+    faster: dict[str, list[str]] = {"classical takes fewer steps": [], "learned takes fewer steps": []}
+    for verdict in verdicts:
+        claim, detail = _claim(verdict)
+        task = short_name(verdict.env)
+        by_claim.setdefault(claim, []).append(f"{task} ({detail})" if detail else task)
+        if verdict.undisturbed and verdict.undisturbed.faster:
+            faster[f"{_kind(verdict.undisturbed.faster).lower()} takes fewer steps"].append(task)
+    parts = [f"{claim} in {listed(tasks)}" for claim, tasks in (*by_claim.items(), *faster.items()) if tasks]
     looks = sorted({episodes for verdict in verdicts for episodes in verdict.looks})
     parts += [looks_in_words(looks)] if looks else []
-    return f"Success in {len(pairs)} task{'s' * (len(pairs) > 1)}: {'; '.join(parts)}"
+    return f"Success in {len(verdicts)} task{'s' * (len(verdicts) > 1)}: {'; '.join(parts)}" if parts else "No task"
 
 
-def _is_equivalent(pair: TaskPair) -> bool:
-    return not pair.better and pair.episodes >= FEWEST and pair.equivalent(MARGIN)
+def _claim(verdict: TaskVerdict) -> tuple[str, str]:
+    """Return what holds in a task, undisturbed, and a detail; empty without any."""
+    pair = verdict.undisturbed
+    if pair is None:
+        return "no verdict", verdict._reason_for_no_pair
+    if pair.episodes < FEWEST:
+        return "no verdict", f"{pair.episodes} episode{'s' * (pair.episodes > 1)}"
+    margin = f"{100 * MARGIN:g} points"
+    if pair.better:
+        return f"{_kind(pair.better).lower()} is better", f"by less than {margin}" if pair.equivalent(MARGIN) else ""
+    if pair.equivalent(MARGIN):
+        return f"equivalent within {margin}", ""
+    largest = max(map(abs, pair.equivalence_interval.bounds))
+    return "undecided", f"up to {math.ceil(1000 * largest) / 10:g} points apart after {pair.episodes} episodes"
 
 
 def success_table(comparison: Comparison) -> pd.DataFrame | None:

@@ -1,10 +1,12 @@
 """Remarks about a comparison's episodes: doubtful certificates, successes that are not clean, stuck policies."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
-from armctl.verdict.scores import WITHIN_RANGE, WITHIN_SPEED
+from armctl.verdict.scores import WITHIN_RANGE, WITHIN_SPEED, clean
 
 STUCK_PATH, STUCK_SECONDS = 0.01, 1.0
 """m and s: a policy that moves the end-effector or the rover by less than this in an episode of at least so long, and
@@ -42,23 +44,26 @@ def motion_notes(results: EpisodeTable, control_period: float | None) -> list[st
     return notes
 
 
-def unclean_notes(results: EpisodeTable, torque_control: bool) -> list[str]:
-    """Return a remark on each policy with successes that are not clean: what they touch or exceed, and by how much.
+def unclean_notes(counted: Mapping[str, EpisodeTable], torque_control: bool) -> list[str]:
+    """Return a remark on each policy with successes that are not `clean`: what they touch or exceed, and by how much.
 
-    Without `torque_control`, drives command no speed beyond a limit, so that an excess is theirs and not the policy's.
+    Without `torque_control`, the drives command no speed beyond its limit: an excess is an overshoot or an impact.
     """
-    cause = "by the policy's torques" if torque_control else "an overshoot of the drives, which command no such speed"
+    drives = "" if torque_control else ", which the drives do not command"
     notes = []
-    for name, episodes in results.by_policy().items():
+    for name, episodes in counted.items():
         won = episodes[episodes.won]
         ranges, speeds = won.column("range_use"), won.column("speed_use")
         contacts = int(sum(count > 0 for count in won.column("contacts").tolist() if count is not None))
         beyond_range, beyond_speed = ranges > WITHIN_RANGE, speeds > WITHIN_SPEED
         reasons = [f"{contacts} with a forbidden contact"] if contacts else []
         if beyond_range.any():
-            reasons.append(f"{beyond_range.sum()} beyond a joint's range (up to {ranges.max():.2f} times half of it)")
+            largest = f"up to {np.nanmax(ranges):.2f}"
+            reasons.append(f"{beyond_range.sum()} beyond {WITHIN_RANGE:g} times half a joint's range ({largest})")
         if beyond_speed.any():
-            reasons.append(f"{beyond_speed.sum()} beyond a speed limit (up to {speeds.max():.2f} times it; {cause})")
+            largest = f"up to {np.nanmax(speeds):.2f}{drives}"
+            reasons.append(f"{beyond_speed.sum()} beyond {WITHIN_SPEED:g} times a speed limit ({largest})")
         if reasons:
-            notes.append(f"Successes of {name} that are not clean, of {len(won)}: {', '.join(reasons)}.")
+            unclean = len(won) - int(clean(won).sum())
+            notes.append(f"{unclean} of {len(won)} successes of {name} are not clean: {', '.join(reasons)}.")
     return notes

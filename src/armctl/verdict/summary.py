@@ -22,6 +22,7 @@ from armctl.stats.paired import PairedDifference
 from armctl.stats.trainings import mean_over_trainings
 from armctl.verdict.facts import Facts
 from armctl.verdict.scores import Limits, by_learner, pairs_of, scores_of
+from armctl.verdict.tables import milliseconds
 
 METRICS = (
     "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
@@ -105,6 +106,11 @@ class DecisionTimes:
     """Median over episodes; None if unknown."""
     first_decision_ms: float | None = None
     """Median over episodes of the reset with the first decision, in which planners plan; None if none was warm."""
+    control_step_ms: float | None = None
+    """Median over episodes of the time of the reset and all decisions, for each control step; None if none was warm.
+
+    Unlike the median decision, it has all planning, whenever that is done; unlike the mean, it does not follow the few
+    decisions that other processes interrupt."""
     construction_ms: float | None = None
     """Time to make the policy in the process that played, of several the longest; divided by the number of
     controllers, if there is one for each world. None if unknown."""
@@ -145,20 +151,12 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     @property
     def decision_time(self) -> str:
         """Median and 99th percentile of a decision, in words; with the first one of an episode if that takes longer."""
-        details = [f"99th percentile {_two_digits(self.decision_ms_p99)} ms"]
+        if math.isnan(self.decision_ms_p50):
+            return "unknown"
+        details = [f"99th percentile {milliseconds(self.decision_ms_p99)}"]
         if self.first_decision_ms is not None and self.first_decision_ms > MIN_PLANNING * self.decision_ms_p50:
-            details.append(f"reset and first decision {_two_digits(self.first_decision_ms)} ms")
-        return f"{_two_digits(self.decision_ms_p50)} ms ({', '.join(details)})"
-
-    @property
-    def control_step_ms(self) -> float:
-        """Median decision time, ms, with the time by which the first one takes longer, spread over an episode's steps.
-
-        Planning early is no saving. Medians, unlike means, do not follow the few decisions that others interrupt.
-        """
-        steps = max(self.length.value, 1.0) if self.length else 1.0
-        planning = 0.0 if self.first_decision_ms is None else self.first_decision_ms - self.decision_ms_p50
-        return self.decision_ms_p50 + max(planning, 0.0) / steps
+            details.append(f"reset and first decision {milliseconds(self.first_decision_ms)}")
+        return f"{milliseconds(self.decision_ms_p50)} ({', '.join(details)})"
 
     @property
     def timing(self) -> str:
@@ -274,6 +272,8 @@ def _decision_times(timed: EpisodeTable, construction_ms: float) -> DecisionTime
     decisions = timed.warm_ms() if timed.column("length").any() else np.array([math.nan])
     resets, first_calls = _finite(timed.column("reset_ms")), _finite(timed.column("first_call_ms"))
     first_decisions, longest = timed.first_decision_ms(), float(decisions.max())
+    warm = timed[timed.is_warm]
+    per_step = 1e3 * warm.decision_seconds() / warm.column("length")
     p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
     missed = timed.column("missed_deadlines").tolist()
     return DecisionTimes(
@@ -287,6 +287,7 @@ def _decision_times(timed: EpisodeTable, construction_ms: float) -> DecisionTime
         decision_seconds=_mean(timed.decision_seconds()),
         reset_ms=float(np.median(resets)) if len(resets) else None,
         first_decision_ms=float(np.median(first_decisions)) if len(first_decisions) else None,
+        control_step_ms=float(np.median(per_step)) if len(per_step) else None,
         construction_ms=construction_ms,
     )
 
@@ -320,11 +321,6 @@ def _of_group(
             changes["if_normal"] = crossed.if_normal if possible else None
     metrics = {name: value and replace(value, low=None, high=None) for name, value in pooled.metrics.items()}
     return replace(pooled, metrics=metrics, **changes)
-
-
-def _two_digits(value: float) -> str:
-    """Return a time with two digits, without an exponent from 0.0001 to 100,000."""
-    return f"{value:,.0f}" if value >= 100 else f"{value:.2g}"
 
 
 def _mean_metric(name: str, results: EpisodeTable, steps: int | None) -> Estimate | None:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from armctl.agents.costs import TrainingCost
 from armctl.runtime.provenance import with_looks
-from armctl.stats.intervals import Estimate
+from armctl.stats.intervals import FEWEST, Estimate
 from armctl.stats.paired import PairedDifference, holm_adjusted
 from armctl.stats.robustness import (
     FALSE_DISCOVERY_RATE,
@@ -21,7 +21,7 @@ from armctl.stats.robustness import (
 )
 from armctl.stats.trainings import FEWEST_TRAININGS
 from armctl.verdict.summary import PolicySummary
-from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, p_value, percent, plain
+from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, milliseconds, p_value, percent, plain
 
 DISQUALIFIED, SPARED = "disqualified", "spared"
 FEW_UNDETECTED = 0.02
@@ -64,11 +64,13 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
         caption += " Clean: without contacts and beyond no limit. Steps: to the goal; failures count as the time limit."
     else:
         caption += " Length: steps of an episode."
-    if not unbounded and (share := _undetected_share(policies[0].episodes)) > FEW_UNDETECTED:
-        more = f"{_episodes_for(FEW_UNDETECTED):,} episodes would leave {100 * FEW_UNDETECTED:g} %"
+    fewest = min(policy.episodes for policy in policies)
+    if fewest >= FEWEST and (share := _undetected_share(fewest)) > FEW_UNDETECTED and (by_success or not unbounded):
+        figures = " and ".join(["returns"] * (not unbounded) + ["steps"] * by_success)
+        more = f"{_episodes_for(FEW_UNDETECTED)} would leave {100 * FEW_UNDETECTED:g} %"
         caption += (
-            f" Intervals of returns and steps include rare failures, since {policies[0].episodes} episodes without one "
-            f"do not exclude them in {100 * share:.1f} % of episodes; {more}."
+            f" Intervals of {figures} include rare failures, since {fewest} episodes without one do not exclude them "
+            f"in {100 * share:.1f} % of episodes; {more}."
         )
     if unbounded:
         caption += " The return has no stated bounds: its mean has no interval, its median has one."
@@ -119,7 +121,7 @@ def details(policy: PolicySummary) -> Remark:
         facts.append(f"tracking error {1e3 * error.value:.1f}{_bracketed(error, 1e3, 1)} mm")
     if seconds := policy.decision_seconds:
         first = policy.first_decision_ms
-        planning = "" if first is None else f", of which {first:.3g} ms until the first action (median)"
+        planning = "" if first is None else f"; until the first action {milliseconds(first)} (median)"
         facts.append(f"decisions {seconds.value:.2g} s per episode{planning}")
         if policy.construction_ms is not None:
             facts.append(f"construction {policy.construction_ms:.3g} ms")
@@ -226,7 +228,9 @@ def sweep_parts(
                 [dict(zip(rows.columns, row, strict=True)) for row in rows.itertuples(index=False)],
             )
         )
-        parts.append(Remark(_degradation_text([effect for effect in effects if effect.disturbance == name])))
+        parts.append(
+            Remark(_degradation_text([effect for effect in effects if effect.disturbance == name], by_success))
+        )
         parts += [Remark(str(ranking)) for ranking in rankings if ranking.disturbance == name and policies > 1]
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
     if points.policy.str.endswith(GROUP).any():
@@ -244,18 +248,19 @@ def _at_level(value: float, by_success: bool) -> Cell:
     return Cell(f"{100 * value:.1f}" if by_success else plain(Estimate(value, None, None)).text)
 
 
-def _degradation_text(effects: Sequence[Degradation]) -> str:
+def _degradation_text(effects: Sequence[Degradation], by_success: bool) -> str:
     """Return a sentence for each policy that gets significantly worse, and one for the others."""
     sentences, unharmed = [], []
     for effect in effects:
         name = f"{effect.policy} (sees the state)" if effect.sees == "state" else effect.policy
-        steps = [] if effect.drops is None else [f"worse {effect.drops}"]
+        drop = effect.largest_drop if by_success else None
+        size = f" ({100 * drop[0]:.1f} points at {drop[1]:g})" if drop and round(1000 * drop[0]) else ""
+        steps = [f"no significant drop{size}"] if effect.drops is None else [f"worse {effect.drops}"]
         steps += [] if effect.below_half is None else [f"below half {effect.below_half}"]
-        if steps:
+        if effect.drops or effect.below_half:
             sentences.append(f"{name}: {', '.join(steps)}.")
         else:
-            drop = effect.largest_drop
-            unharmed.append(f"{name} ({100 * drop[0]:.1f} points at {drop[1]:g})" if drop else name)
+            unharmed.append(f"{name}{size}")
     if unharmed:
         sentences.append(f"No significant drop: {', '.join(unharmed)}.")
     return " ".join(sentences)

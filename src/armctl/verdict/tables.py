@@ -119,6 +119,11 @@ def p_value(p: float | None) -> str:
     return f"{p:.2g}" if p > MIN_P_VALUE else f"< {MIN_P_VALUE:g}"
 
 
+def milliseconds(value: float) -> str:
+    """Return a time, ms, with at least two digits and its unit."""
+    return f"{value:,.0f} ms" if value >= 99.5 else f"{value:.2g} ms"
+
+
 def _interval(low: float | None, high: float | None, decimals: int, sign: str) -> str:
     if low is None or high is None:
         return "unknown"
