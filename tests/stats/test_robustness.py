@@ -110,6 +110,37 @@ def test_no_significant_difference_is_not_equivalence(won, equivalent):
     )
 
 
+def alike(episodes, names=("noise",), policies="ab"):
+    """Rankings of policies that win all of so many episodes, under each of these disturbances."""
+    table = points({name: dict.fromkeys(policies, (1, 1)) for name in names}, levels=(0.0, 1.0), episodes=1)
+    pairs = [frozenset(two) for two in itertools.combinations(policies, 2)]
+    wheres = [NEUTRAL, *((name, 1.0) for name in names)]
+    return table, {(*where, two): replace(pair_of(1.0, 0.0), episodes=episodes) for where in wheres for two in pairs}
+
+
+def test_equivalence_under_several_disturbances_is_corrected_for_their_number():
+    assert replace(pair_of(1.0, 0.0), episodes=160).equivalent(0.02)
+    assert [one.equivalent for one in robustness_rankings(*alike(160))] == [True]
+    several = [f"noise {i}" for i in range(7)]
+    assert not any(one.equivalent for one in robustness_rankings(*alike(160, several)))
+    assert all(one.equivalent for one in robustness_rankings(*alike(320, several)))
+
+
+def test_equivalence_needs_the_tests_of_all_pairs_at_all_levels():
+    table, tests = alike(500, policies="abc")
+    assert robustness_rankings(table, tests)[0].equivalent
+    for pair in tests:
+        assert not robustness_rankings(table, {key: test for key, test in tests.items() if key != pair})[0].equivalent
+
+
+def test_it_is_not_undecided_where_any_two_policies_differ():
+    table, tests = alike(100, policies="abc")
+    tests["noise", 1.0, frozenset("bc")] = replace(pair_of(1e-6, 0.3, "b", "c"), episodes=100)
+    claim = robustness_rankings(table, tests)[0].claim
+    assert claim.startswith("highest mean success: ")
+    assert "undecided" not in claim
+
+
 def test_a_drop_that_is_not_significant_is_told_with_its_size():
     table = points({"noise": {"a": (10, 7, 10), "b": (10, 10, 10)}}, episodes=10).assign(sees="state")
     table = table.assign(change=[0.0, 0.0, -0.3, 0.0, 0.0, 0.0])
