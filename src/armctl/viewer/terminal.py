@@ -1,7 +1,7 @@
 """Plays N episodes of M steps, prints states, actions and rewards, and records them for later."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ from rich.text import Text
 from armctl.core.console import PlainConsole
 from armctl.core.errors import ConfigurationError
 from armctl.envs import EpisodeVectorEnv
+from armctl.envs.observations import one_of
 from armctl.tasks import Observations
 from armctl.viewer.recording import Film, check_video, recording
 from armctl.viewer.stage import Stage
@@ -128,7 +129,7 @@ def _play(
     total = 0.0
     while stage.status.outcome is None:
         show()
-        state = {part: np.array(values[0]) for part, values in stage.task.observation_parts().items()}
+        state = dict(_leaves("", one_of(stage.task.observation_parts(), 0)))
         actions = stage.decide()
         if log:
             log.decision(stage.observations, actions, stage.plans())
@@ -143,6 +144,15 @@ def _play(
     if log:
         log.end(stage.observations, f"{status.policy}, episode {status.episode} of seed {status.seed}: {ending}")
     console.print(Text(f"{ending}, return {total:g}", "bold"), end="\n\n")
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield copies of the arrays of an observation, by names such as `camera/0`."""
+    if isinstance(value, (dict, tuple, list)):
+        for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _leaves(f"{name}/{key}".removeprefix("/"), part)
+    else:
+        yield name, np.array(value)
 
 
 def _steps(count: int) -> str:

@@ -131,11 +131,11 @@ class RerunLog:
         space = self._worlds.single_observation_space
         parts = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {"observation": space}
         for name, part in parts.items():
-            values = np.asarray(observations[name] if isinstance(observations, dict) else observations)[0]
             if is_image(part):
+                values = np.asarray(observations[name] if isinstance(observations, dict) else observations)[0]
                 self._stream.log(f"camera/{name}", self._image(values, part))
         for name, values in task.observation_parts().items():
-            if np.ndim(values) == 2:
+            if getattr(values, "ndim", 0) == 2 and values.dtype.kind in "bif":
                 self._scalars(f"observation/{name}", values[0])
 
     def _image(self, picture: NDArray[Any], space: Any) -> Any:
