@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_type_hints
 
 from armctl.core.errors import ConfigurationError, described, missing_extra, reason, unknown_name
 from armctl.runtime.sending import JobBundle
@@ -116,6 +116,7 @@ class Cluster(Engine):
         """Yield results; see `Engine`. `files` are sent along, which `shared` names by relative paths."""
         common = [self._send(item) for item in (work, JobBundle.of(shared, files), environment_of(work))]
         waiting, running = iter(units), list[Any]()
+        kind = get_type_hints(work).get("return")
         try:
             while True:
                 for unit in itertools.islice(waiting, AHEAD * self.workers - len(running)):
@@ -123,7 +124,12 @@ class Cluster(Engine):
                 if not running:
                     return
                 finished, running = _failing_as_lost(self._wait, running)
-                yield from self._fetched(finished)
+                for result in self._fetched(finished):
+                    if isinstance(kind, type) and not isinstance(result, kind):
+                        raise WorkersFailed(
+                            f"a worker returned a {type(result).__name__} in place of a {kind.__name__}"
+                        )
+                    yield result
         finally:
             with contextlib.suppress(Exception):  # of a cluster that was lost
                 self._cancel(running)
