@@ -65,5 +65,6 @@ def unclean_notes(counted: Mapping[str, EpisodeTable], torque_control: bool) -> 
             reasons.append(f"{beyond_speed.sum()} beyond {WITHIN_SPEED:g} times a speed limit ({largest})")
         if reasons:
             unclean = len(won) - int(clean(won).sum())
-            notes.append(f"{unclean} of {len(won)} successes of {name} are not clean: {', '.join(reasons)}.")
+            verb = "is" if unclean == 1 else "are"
+            notes.append(f"{unclean} of {len(won)} successes of {name} {verb} not clean: {', '.join(reasons)}.")
     return notes
