@@ -83,6 +83,14 @@ def test_threads_that_hold_up_the_end_are_named(home):
     assert (home / "out" / "episodes.csv").exists()
 
 
+@pytest.mark.slow
+def test_armctl_s_own_workers_do_not_hold_up_the_end(home):
+    words = ["compare", "leaking.py:still", "--env", "Pendulum-v1", "--episodes", "2", "--workers", "2"]
+    done = subprocess.run([ARMCTL, *words], capture_output=True, text=True, cwd=home, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "run on" not in done.stderr
+
+
 def test_no_duration_is_measured_by_a_clock_that_can_be_set():
     """Dates are written, and nothing else is taken from the time of day."""
     package = Path(armctl.__file__).parent

@@ -1,10 +1,11 @@
 """The verbs of the command line. No logic of their own: each calls the library."""
 
 import os
+import signal
 import sys
 import threading
 import time
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from typing import NoReturn
 
 from armctl.cli import catalogue, compare, evaluate, export, learn, new, play, share, tune
@@ -16,6 +17,8 @@ __all__ = ["app", "catalogue", "compare", "evaluate", "export", "learn", "main",
 TRACEBACK = "--traceback"
 PATIENCE = 2.0
 """s for threads to end with the process before they are named."""
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
 
 
 def main() -> NoReturn:
@@ -40,23 +43,23 @@ def main() -> NoReturn:
         console.print(Text.assemble(("armctl: ", "red"), str(error)), soft_wrap=not console.is_terminal)
         sys.exit(2)
     finally:
-        _wait_for_threads(earlier)
+        _watch_threads(earlier)
     sys.exit(0)
 
 
-def _wait_for_threads(earlier: Set[threading.Thread]) -> None:
-    """Name threads that somebody's code has started and that keep this process from its end; Ctrl-C ends them."""
+def _watch_threads(earlier: Set[threading.Thread]) -> None:
+    """Name threads that somebody's code has started and that keep this process from its end; Ctrl-C ends them.
+
+    Libraries' own threads, such as those of worker processes, are told to end when Python itself ends, after this.
+    """
     waiting = [thread for thread in threading.enumerate() if not thread.daemon and thread not in earlier]
-    latest = time.monotonic() + PATIENCE
-    for thread in waiting:
-        thread.join(max(0.0, latest - time.monotonic()))
-    if not (running := [thread for thread in waiting if thread.is_alive()]):
-        return
-    sys.stdout.flush()
-    of = f"{len(running)} threads of an environment or a policy run on, such as {running[0].name!r}"
-    try:
+    if waiting:
+        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+        threading.Thread(target=_name_threads, args=(waiting,), daemon=True).start()
+
+
+def _name_threads(waiting: Sequence[threading.Thread]) -> None:
+    time.sleep(PATIENCE)
+    if running := [thread for thread in waiting if thread.is_alive()]:
+        of = f"{len(running)} threads of an environment or a policy run on, such as {running[0].name!r}"
         print(f"armctl has finished; {of}: Ctrl-C ends them", file=sys.stderr, flush=True)
-        for thread in running:
-            thread.join()
-    except KeyboardInterrupt:
-        os._exit(130)
