@@ -94,8 +94,8 @@ def test_a_task_that_knows_no_disturbance_is_reported_undisturbed(tmp_path):
 
 
 def test_the_headline_counts_tasks(finished):
-    assert suite_headline([]) == "No task"
-    assert suite_headline(read_study(finished).verdicts).startswith("Success in 1 task: no verdict in ")
+    assert suite_headline([]) == ("No task", "")
+    assert suite_headline(read_study(finished).verdicts)[0].startswith("Of 1 task, by success: no verdict in ")
 
 
 def test_figures_hold_their_numbers():

@@ -125,7 +125,7 @@ def test_a_suite_that_grew_was_looked_at_before(folder):
     words = "after an earlier look at 2 episodes, p is too small and intervals are too narrow"
     for told in (found, read_study(folder)):
         assert [one.looks for one in told.verdicts] == [[2], [2]]
-        assert suite_headline(told.verdicts).endswith(f"; {words}")
+        assert suite_headline(told.verdicts)[1].endswith(words)
     remarks = [part for part in found.tasks[REACH].document().parts if isinstance(part, Remark)]
     assert [one for one in remarks if one.text.endswith(f"false discovery rate 5 %); {words}.")]
     assert [one.text.endswith(f"; {words}.") for one in remarks if one.kind == "verdict"] == [True]

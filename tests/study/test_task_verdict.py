@@ -48,7 +48,7 @@ def test_few_episodes_give_no_verdict_anywhere(wins, losses):
     (one,) = holm_corrected([answer_of(eight, head(losses, wins, episodes=8))])
     assert one.verdict.startswith("No verdict from 8 episodes")
     assert one.reversals == ""
-    assert suite_headline([one]) == ("Success in 1 task: no verdict in Some-v0 (8 episodes)")
+    assert suite_headline([one]) == ("Of 1 task, by success: no verdict in Some", "Some: 8 episodes")
 
 
 def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_steps():
@@ -67,10 +67,10 @@ def test_verdicts_and_headline_are_corrected_for_all_tasks_and_for_success_and_s
     ]  # fmt: skip
     assert found[3].verdict.endswith("; classical takes 2.3 [0.3, 4.2] fewer steps, p = 0.048")
     assert suite_headline(found) == (
-        "Success in 5 tasks: learned is better in Task1-v0; undecided in Task0-v0 (up to 26.2 points apart after 50 "
-        "episodes), Task2-v0 (up to 29.3 points apart after 50 episodes) and Task3-v0 (up to 13.5 points apart after "
-        "50 episodes); no verdict in None-v0 (no episode was finished undisturbed); classical takes fewer steps in "
-        "Task3-v0"
+        "Of 5 tasks, by success: learned is better in Task1; undecided in Task0, Task2 and Task3; no verdict in None",
+        "Task0: up to 26.2 points apart after 50 episodes; Task2: up to 29.3 points apart after 50 episodes; Task3: up "
+        "to 13.5 points apart after 50 episodes; None: no episode was finished undisturbed; classical takes fewer "
+        "steps in Task3",
     )
     assert found[0].pairs[SETTINGS[0]] == answers[0].pairs[SETTINGS[0]]
 
@@ -103,7 +103,8 @@ def test_earlier_looks_are_a_part_of_verdict_and_headline():
     one = replace(answer_of(head(20, 0)), looks=[20, 50])
     assert one.verdict.endswith(f"p = 1.9e-06; {words}")
     assert suite_headline([one, replace(one, looks=[50])]) == (
-        f"Success in 2 tasks: classical is better in Some-v0 and Some-v0; {words}"
+        "Of 2 tasks, by success: classical is better in Some and Some",
+        words,
     )
 
 

@@ -42,8 +42,10 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
     verdicts = suite.verdicts
     names = list(dict.fromkeys(policy.family for verdict in verdicts for policy in verdict.policies))
     styles, heads = suite_figures.family_styles(names), _heads(suite)
+    headline, details = suite_headline(verdicts)
     page: dict[str, Any] = {
-        "headline": suite_headline(verdicts),
+        "headline": headline,
+        "details": details,
         "suite": suite,
         "chosen": FIRST if suite.quick else CHOSEN,
         "folder": folder.resolve().name,

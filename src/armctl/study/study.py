@@ -99,7 +99,7 @@ class Study(Displayed):
         """Return the headline, the verdict on each task, a table of the tasks, and the ranks of families."""
         parts: list[Table | Remark] = []
         if self.verdicts:
-            parts.append(Remark(f"{suite_headline(self.verdicts)}.", "verdict"))
+            parts += [Remark(f"{part}.", "verdict") for part in suite_headline(self.verdicts) if part]
             parts.append(task_table(self.verdicts, self.episodes, self.seed, self.quick))
             for verdict in self.verdicts:
                 parts.append(Remark(f"{verdict.task}: {verdict.verdict}.", "verdict"))

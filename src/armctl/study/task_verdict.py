@@ -1,6 +1,7 @@
 """Verdict on a task: classical or learned, by how much, at what cost, and under which disturbances it reverses."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -239,23 +240,35 @@ def holm_corrected(verdicts: Sequence[TaskVerdict]) -> list[TaskVerdict]:
     ]
 
 
-def suite_headline(verdicts: Sequence[TaskVerdict]) -> str:
-    """Return a sentence: in which tasks each kind is better in success or faster, and which are undecided.
+def suite_headline(verdicts: Sequence[TaskVerdict]) -> tuple[str, str]:
+    """Return two sentences: in which tasks each kind is better in success, and the details of the others.
 
-    `verdicts` are corrected for all tasks, as `Study.verdicts` is.
+    `verdicts` are corrected for all tasks, as `Study.verdicts` is. The second one may be empty.
     """
+    if not verdicts:
+        return "No task", ""
     by_claim: dict[str, list[str]] = {"classical is better": [], "learned is better": []}
     faster: dict[str, list[str]] = {"classical takes fewer steps": [], "learned takes fewer steps": []}
-    for verdict in verdicts:
+    details = []
+    for verdict, task in zip(verdicts, _brief_names(verdicts), strict=True):
         claim, detail = _claim(verdict)
-        task = short_name(verdict.env)
-        by_claim.setdefault(claim, []).append(f"{task} ({detail})" if detail else task)
+        by_claim.setdefault(claim, []).append(task)
+        details += [f"{task}: {detail}"] if detail else []
         if verdict.undisturbed and verdict.undisturbed.faster:
             faster[f"{_kind(verdict.undisturbed.faster).lower()} takes fewer steps"].append(task)
-    parts = [f"{claim} in {listed(tasks)}" for claim, tasks in (*by_claim.items(), *faster.items()) if tasks]
+    claims, steps = (
+        [f"{claim} in {listed(tasks)}" for claim, tasks in named.items() if tasks] for named in (by_claim, faster)
+    )
     looks = sorted({episodes for verdict in verdicts for episodes in verdict.looks})
-    parts += [looks_in_words(looks)] if looks else []
-    return f"Success in {len(verdicts)} task{'s' * (len(verdicts) > 1)}: {'; '.join(parts)}" if parts else "No task"
+    details += [*steps, *([looks_in_words(looks)] if looks else [])]
+    return f"Of {len(verdicts)} task{'s' * (len(verdicts) > 1)}, by success: {'; '.join(claims)}", "; ".join(details)
+
+
+def _brief_names(verdicts: Sequence[TaskVerdict]) -> list[str]:
+    """Return the tasks' names without versions, unless these tell two of them apart."""
+    names = [short_name(verdict.env) for verdict in verdicts]
+    brief = [re.sub(r"-v\d+$", "", name) for name in names]
+    return brief if len(set(brief)) == len(set(names)) else names
 
 
 def _claim(verdict: TaskVerdict) -> tuple[str, str]:
