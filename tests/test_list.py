@@ -33,7 +33,7 @@ def test_list_shows_what_there_is(tmp_path):
 @pytest.mark.slow
 def test_list_has_for_each_task_the_policies_that_can_act_in_it():
     policies = listed_policies()
-    for env in environment_names():
+    for env in (name for name in environment_names() if name.startswith("armctl/")):  # others' tests add more
         listed = {policy.name for policy in policies_of(find_spec(env), policies)}
         assert listed - {"random"} == set(line_up(env)) - {"random"}
 
@@ -62,7 +62,7 @@ def test_list_shows_an_environment(env, words, tmp_path):
 
 
 def test_every_option_of_every_environment_is_described():
-    for env in environment_names():
+    for env in (name for name in environment_names() if name.startswith("armctl/")):  # others' tests add more
         for option in describe_options(env):
             assert option.text, f"{env}: {option.name}"
             assert option.type, f"{env}: {option.name}"

@@ -48,6 +48,7 @@ PLAYED = [SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, [*ROBOTS, *OPTIONS
 DISTURBED = [("--disturbance", "delay=1"), ("--disturbance", "payload=0,2")]
 LINES: dict[str, Any] = {
     "list": ([], [[ARM, ODD], ROBOTS, [("--tip", "tool0")]]),
+    "new": ([("task", "mine")], []),
     "compare": (
         [("random", "odd.py:still"), ("--episodes", "1"), ARM, SHORT],
         [*PLAYED, [("--baseline", "random")], [("--margin", "2")], [("--report",)], [("--success-return", "-1")],

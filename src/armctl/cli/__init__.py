@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence, Set
+from types import FrameType
 from typing import NoReturn
 
 from armctl.cli import catalogue, compare, evaluate, export, learn, new, play, share, tune
@@ -54,7 +55,15 @@ def _watch_threads(earlier: Set[threading.Thread]) -> None:
     """
     waiting = [thread for thread in threading.enumerate() if not thread.daemon and thread not in earlier]
     if waiting:
-        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+        handler = signal.getsignal(signal.SIGINT)
+
+        def end(number: int, frame: FrameType | None) -> None:
+            if not threading.main_thread().is_alive():  # Python waits for the threads at its end
+                os._exit(INTERRUPTED)
+            if callable(handler):
+                handler(number, frame)
+
+        signal.signal(signal.SIGINT, end)
         threading.Thread(target=_name_threads, args=(waiting,), daemon=True).start()
 
 

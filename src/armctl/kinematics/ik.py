@@ -191,7 +191,9 @@ class Ik:
     def _reaches_own_positions(self) -> bool:
         """Return True if `configurations` finds most of some positions where the arm can be."""
         positions = self.model.positions(self._random_starts[:OWN_POSITIONS])
-        reached = [any(self.model.within_limits(q).any() for q in self.configurations(at)) for at in positions]
+        reached = [
+            any(len(q) and self.model.within_limits(q).any() for q in self.configurations(at)) for at in positions
+        ]
         return 2 * sum(reached) > len(reached)
 
     def _checked(self, seed: Array | None, count: int | None) -> Array:

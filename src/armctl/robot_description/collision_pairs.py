@@ -37,7 +37,7 @@ class CollisionPairs(NamedTuple):
     always_near: tuple[Pair, ...]
     """Pairs that are left out since they are near each other in all configurations."""
     floor_depths: dict[str, float]
-    """How deep the capsules of links are in the floor at home, m, as far as they are."""
+    """Depth of each link whose capsule is in the floor at home, m."""
     turning_in_floor: tuple[str, ...]
     """Links in the floor that only turn about the vertical, on the spot: they are not tested."""
 

@@ -47,7 +47,7 @@ class Verdict:
     """The verdict of a comparison, in the order in which it is read; as a string, all of it."""
 
     result: str
-    """Which policy of the first pair is better, by how much, and how certain that is: a sentence."""
+    """Sentence on the better policy of the first pair, by how much, and how certain that is."""
     cost: str = ""
     """Decision times of both, and the decisions that their training took; empty without a pair."""
     context: str = ""

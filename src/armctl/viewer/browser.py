@@ -38,7 +38,7 @@ LINE_WIDTH = 1.5e-3
 
 
 class Moment(NamedTuple):
-    """What is shown after a control step."""
+    """State and drawing after a control step."""
 
     state: NDArray[np.float64]
     status: Status

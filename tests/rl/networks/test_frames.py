@@ -58,7 +58,8 @@ def actor_with_frames(worlds, frames, gap):
 def exported(actor, worlds, path):
     actor.export(path)
     card = AgentCard(
-        name="a", learner="ppo", env="e", env_options={}, interface={}, action_shape=[2], training_steps=1,
+        name="a", learner="ppo", env="e", env_options={}, interface={}, training_steps=1,
+        action_shape=list(worlds.single_action_space.shape),
         observation_shape=shapes(worlds.single_observation_space), memory=actor.memory, training_minutes=None,
         training_seed=0, learner_options={}, versions={}, sha256="",
     )  # fmt: skip
