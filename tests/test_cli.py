@@ -184,7 +184,7 @@ def test_a_pipe_has_no_width_unless_it_is_told_one(tmp_path):
     )
     command = ("compare", name, "reach_ik", "--episodes", "2", "--out", "here")
     wide, narrow = (program(*command, cwd=tmp_path, COLUMNS=columns).stdout for columns in ("", "50"))
-    assert re.search(rf"^{name} +0.0 % .* observation ", wide, re.MULTILINE)
+    assert re.search(rf"^{name} +[\d.]+ % .* observation ", wide, re.MULTILINE)
     tables = narrow.partition("has the episodes")[0].splitlines()[:-1]
     assert max(map(len, tables)) <= 50
     assert "…" not in wide

@@ -176,11 +176,9 @@ def test_a_valid_line_is_mostly_fine(run, verb, sized):
 @pytest.mark.one_case
 @pytest.mark.parametrize("verb", LINES)
 def test_a_line_with_one_part_changed_works_or_is_refused(run, verb, sized):
-    count = sized(8, 60)
+    count, checks = sized(8, 60), list(HealthCheck)
 
-    checks = list(HealthCheck)
-
-    @settings(max_examples=count, deadline=None, database=None, suppress_health_check=checks, derandomize=count < 50)
+    @settings(max_examples=count, deadline=None, database=None, suppress_health_check=checks, derandomize=True)
     @given(st.integers(0, 2**63))
     def each(seed):
         rng = random.Random(seed)

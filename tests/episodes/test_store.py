@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import armctl
 from armctl.core.errors import ResultsError
 from armctl.episodes import rows as rows_module
 from armctl.episodes.metrics import Metrics
@@ -129,3 +130,9 @@ def test_cells_share_a_file_and_nothing_else(tmp_path):
     edit(tmp_path, "UPDATE episode SET cell = 0 WHERE rowid = 2")
     with pytest.raises(ResultsError, match="was changed, or belongs to another comparison"):
         read_store(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["a b", "#?%41&mode=ro", "\udcff", "é\n"])
+def test_a_folder_of_any_name_holds_results(name, tmp_path):
+    made = armctl.compare(["random"], episodes=2, out=tmp_path / name, env_options={"max_episode_steps": 2})
+    assert len(read_store(tmp_path / name).cells["none"].episodes) == len(made.results) == 2

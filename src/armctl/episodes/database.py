@@ -42,7 +42,7 @@ def connected(path: Path | None, mode: str) -> Iterator[sqlite3.Connection]:
             if part.exists():
                 with opened_regular(part, LARGEST_FILE):
                     pass
-        name = f"file:{quote(os.path.abspath(path))}?mode={mode}"
+        name = f"file:{quote(os.fsencode(os.path.abspath(path)))}?mode={mode}"
     file = sqlite3.connect(name, uri=True, isolation_level=None, timeout=0)
     with contextlib.closing(file):
         file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
