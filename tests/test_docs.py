@@ -159,6 +159,11 @@ def _check(verb, arguments):
 
 
 @each_page
+def test_no_comment_is_continued_by_a_line_that_a_shell_would_run(page):
+    assert re.findall(r"^ *#[^\n]*\\\n", page.read_text(), re.MULTILINE) == []
+
+
+@each_page
 def test_excerpts_are_what_the_code_says(page):
     renewed = imported("excerpts").renewed(page.read_text())
     assert page.read_text() == renewed, "python docs/excerpts.py makes the excerpts anew"
