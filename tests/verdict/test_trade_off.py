@@ -21,6 +21,7 @@ def policy(name, success, cost=None, ms=1.0, **more):
     values = {field.name: None for field in dataclasses.fields(PolicySummary)}
     known = {
         "policy": name, "sees": "observation", "training": cost or TrainingCost(), "decision_ms_p50": ms,
+        "control_step_ms": ms,
         "decision_ms_p99": 2 * ms, "success": Estimate(success, success - 0.1, success + 0.1),
         "worlds": 1, "workers": 1,
     }  # fmt: skip

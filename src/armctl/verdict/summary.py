@@ -106,8 +106,8 @@ class DecisionTimes:
     """Median over episodes; None if unknown."""
     first_decision_ms: float | None = None
     """Median over episodes of the reset with the first decision, in which planners plan; None if none was warm."""
-    control_step_ms: float | None = None
-    """Median over episodes of the time of the reset and all decisions, for each control step; None if none was warm.
+    control_step_ms: float = math.nan
+    """Median over warm episodes of the time of the reset and all decisions, for each control step; else the median.
 
     Unlike the median decision, it has all planning, whenever that is done; unlike the mean, it does not follow the few
     decisions that other processes interrupt."""
@@ -287,7 +287,7 @@ def _decision_times(timed: EpisodeTable, construction_ms: float) -> DecisionTime
         decision_seconds=_mean(timed.decision_seconds()),
         reset_ms=float(np.median(resets)) if len(resets) else None,
         first_decision_ms=float(np.median(first_decisions)) if len(first_decisions) else None,
-        control_step_ms=float(np.median(per_step)) if len(per_step) else None,
+        control_step_ms=float(np.median(per_step)) if len(per_step) else p50,
         construction_ms=construction_ms,
     )
 

@@ -34,14 +34,10 @@ def points(policies: Sequence[PolicySummary]) -> list[Point]:
     by_success = any(policy.success for policy in policies)
     if len({policy.timing for policy in policies}) > 1:
         return []
-    times = {
-        policy.policy: policy.decision_ms_p50 if policy.control_step_ms is None else policy.control_step_ms
-        for policy in policies
-    }
     return [
-        Point(policy.policy, score, max(ms, SHORTEST_MS), max(policy.decision_ms_p99, SHORTEST_MS))
-        for policy, ms in zip(policies, times.values(), strict=True)
-        if (score := policy.success if by_success else policy.episode_return) and math.isfinite(ms)
+        Point(policy.policy, score, max(policy.control_step_ms, SHORTEST_MS), max(policy.decision_ms_p99, SHORTEST_MS))
+        for policy in policies
+        if (score := policy.success if by_success else policy.episode_return) and math.isfinite(policy.control_step_ms)
     ]
 
 
