@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import filelock
 import pytest
 
 from armctl.core.errors import ConfigurationError
@@ -109,10 +110,14 @@ def answers(port):
 
 @pytest.fixture(scope="module")
 def ray_head(tmp_path_factory):
-    """The port of a node of Ray with a core, to which others can come, and the address for clients."""
+    """The port of a node of Ray with a core, to which others can come, and the address for clients.
+
+    One head at a time, of all pytest's workers: two on one machine give their clients the same ports (from 23000).
+    """
     port, client = free_port(), 9000 + free_port() % 900
     nodes = ["--head", "--node-ip-address=127.0.0.1", f"--port={port}", f"--ray-client-server-port={client}"]
     with (
+        filelock.FileLock(tmp_path_factory.getbasetemp().parent / "ray.lock"),
         tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder,  # sockets' paths are short
         servers(tmp_path_factory.mktemp("head")) as started,
     ):
