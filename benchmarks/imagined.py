@@ -42,7 +42,7 @@ def _row(network: str, path: Path, imagined: Callable[[Any], Policy], episodes: 
     card = read_card(path)
     comparison = armctl.compare([imagined, path], card.env, episodes=episodes, seed=TEST_SEED, worlds=50)
     with_it, network_only = comparison.policies
-    difference = comparison.paired[0].success_difference
+    difference = comparison.differences[0].success_difference
     return (
         f"`{network}`",
         str(card.training_seed),

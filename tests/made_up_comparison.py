@@ -19,9 +19,9 @@ def facts_of(**known):
     return Facts(**values | known)
 
 
-def made_up(env, results, policies, paired, notes=(), **known):
+def made_up(env, results, policies, differences, notes=(), **known):
     """A comparison of seed 0."""
     identity = {"env": env, "seed": 0, "policies": [one.policy for one in policies]}
     found = Comparison(identity, known.get("env_options", {}), facts_of(**known), results)
-    found.policies, found.paired, found.notes = policies, paired, list(notes)
+    found.policies, found.differences, found.notes = policies, differences, list(notes)
     return found

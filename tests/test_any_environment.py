@@ -104,7 +104,7 @@ def test_success_by_return(home):
     armctl(*arguments, cwd=home)
     summary = json.loads((home / "r" / "summary.json").read_text())
     assert [policy["success"] for policy in summary["policies"]] == [None, None]
-    assert summary["paired"][0]["mcnemar_p"] is None
+    assert summary["differences"][0]["success_p"] is None
     refused = armctl(*arguments, "--success-return", "-20", cwd=home, check=False)
     assert refused.returncode == 2
     assert "another comparison" in refused.stderr

@@ -19,8 +19,8 @@ from armctl.episodes.table import EpisodeTable
 from armctl.report.formats import FORMATS, as_csv, as_json, latex, markdown
 from armctl.report.reproduction import reproduction_document
 from armctl.report.terminal import UNLIMITED, DocumentView, fitted_table, tables
+from armctl.stats.difference import Difference, Simultaneous
 from armctl.stats.intervals import Estimate, Superiority
-from armctl.stats.paired import PairedDifference, Simultaneous
 from armctl.study import Sweep
 from armctl.study.reproduce import Reproduction
 from armctl.study.task_results import COLUMNS
@@ -56,7 +56,7 @@ def pair_of(a, b, p):
     won = (0, 0) if p is None else (197, 0)
     steps = p and Estimate(-2.7, -3.9, -1.5)
     at_once = Simultaneous(gain, chance.probability, steps)
-    return PairedDifference(a, b, 200, 0, *won, 3, p, gain, chance, steps, at_once)
+    return Difference(a, b, 200, 0, *won, 3, p, gain, chance, steps, at_once)
 
 
 def comparison_of(names, success=SUCCESS, p=3.8e-59):
@@ -151,9 +151,9 @@ def test_remarks_are_there_in_all_forms():
 
 def test_json_has_numbers_as_numbers_with_intervals():
     written = json.loads(as_json(comparison_of(SHORT).document()))
-    policy, pair = written["policies"][0], written["paired"][0]
+    policy, pair = written["policies"][0], written["differences"][0]
     assert policy["success"] == {"value": 0.995, "low": 0.9722, "high": 0.9991}
-    assert pair["mcnemar_p"] == 3.8e-59
+    assert pair["success_p"] == 3.8e-59
     assert (written["env"], written["env_options"], written["seed"]) == ("armctl/ArmReach-v0", {"robot": "ur3"}, 0)
     assert "reach_ik" in written["verdict"]
     nothing = Document([Table("a", "", [], [], [{"x": float("nan"), "y": (1, float("inf"))}])])
@@ -162,10 +162,10 @@ def test_json_has_numbers_as_numbers_with_intervals():
 
 def test_csv_is_one_table_that_pandas_reads():
     frame = pd.read_csv(io.StringIO(as_csv(comparison_of(SHORT).document())))
-    policies, paired = frame[frame.table == "policies"], frame[frame.table == "paired"]
+    policies, paired = frame[frame.table == "policies"], frame[frame.table == "differences"]
     assert policies.policy.tolist() == SHORT
     assert policies.success_low.tolist() == [0.9722] * 3
-    assert paired.mcnemar_p.tolist() == [3.8e-59] * 3
+    assert paired.success_p.tolist() == [3.8e-59] * 3
     assert paired.return_difference_high.tolist() == [189.2] * 3
     points = pd.read_csv(io.StringIO(as_csv(swept().document())))
     pd.testing.assert_frame_equal(points.drop(columns="table"), swept().points, check_dtype=False)

@@ -26,7 +26,7 @@ def test_results_read_back_are_those_that_were_written(tmp_path):
     made = compare(["random", "reach_ik"], episodes=10, out=tmp_path, env_options=OPTIONS)
     read = read_comparison(tmp_path)
     pd.testing.assert_frame_equal(read.episodes, made.episodes)
-    assert (read.policies, read.paired) == (made.policies, made.paired)
+    assert (read.policies, read.differences) == (made.policies, made.differences)
     assert read.env_options == OPTIONS
 
 

@@ -122,7 +122,7 @@ def test_exactly_the_episodes_in_which_a_policy_fails_are_lost(tmp_path, lost, p
         assert moody.success.value == pytest.approx(won.mean())
         assert 0 < moody.success.value < other.success.value
         assert moody.restricted_steps.value >= other.restricted_steps.value
-        assert found.paired[0].only_b == int((other_won & ~won).sum())
+        assert found.differences[0].only_b == int((other_won & ~won).sum())
     first, *others = tables.values()
     assert len(lost) > 4
     for table in others:
@@ -160,8 +160,8 @@ def test_a_crash_never_pays():
     earned = found.episodes.groupby("policy")["return"].mean()
     assert earned["coward"] > earned["still"]
     assert coward.episode_return.value <= honest.episode_return.value
-    assert found.paired[0].return_difference.value <= 0
-    assert found.paired[0].superiority.probability.value <= 0.5
+    assert found.differences[0].return_difference.value <= 0
+    assert found.differences[0].superiority.probability.value <= 0.5
 
 
 @pytest.mark.parametrize(("worlds", "workers"), [(1, 1), (3, 1)])
@@ -265,7 +265,7 @@ def test_a_crash_does_not_pay_where_nobody_knows_the_possible_returns():
     assert worse.episode_return is None
     assert worse.worst_decile is None
     assert better.episode_return.value == -5
-    pair = found.paired[0]
+    pair = found.differences[0]
     assert pair.superiority.probability.value == pytest.approx((20 - errors) / 40)
     assert math.isnan(pair.return_difference.value)
     assert pair.return_p is None

@@ -15,8 +15,9 @@ from armctl.stats.across_tasks import (
     success_profile,
     values_of,
 )
+from armctl.stats.correction import holm
 from armctl.stats.intervals import Estimate, bounded_mean, success_rate
-from armctl.stats.paired import holm, mcnemar
+from armctl.stats.paired import mcnemar
 
 A, B = Choice("a"), Choice("b")
 

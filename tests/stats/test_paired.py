@@ -7,12 +7,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from armctl.episodes.table import EpisodeTable
+from armctl.stats.correction import holm
+from armctl.stats.difference import paired_difference
 from armctl.stats.intervals import bounded_difference
-from armctl.stats.paired import (
-    holm,
-    mover,
-    paired_difference,
-)
+from armctl.stats.paired import mover
 from armctl.stats.power import episodes_to_show_equivalence
 from armctl.stats.trainings import difference_over_trainings
 from armctl.verdict.scores import Limits, pairs_of, scores_of
@@ -26,7 +24,7 @@ def test_mcnemar_is_exact_and_counts_pairs():
     zeros = np.zeros(18)
     pair = paired_difference("a", "b", (a, b), (zeros + 2, zeros), (zeros + 7, zeros + 4), (0.0, 2.0), 10)
     assert (pair.both_won, pair.only_a, pair.only_b, pair.neither) == (5, 8, 2, 3)
-    assert pair.mcnemar_p == pytest.approx(2 * (1 + 10 + 45) / 2**10)
+    assert pair.success_p == pytest.approx(2 * (1 + 10 + 45) / 2**10)
     assert pair.return_difference.value == 2
     assert pair.steps_difference.value == 3
 
@@ -34,7 +32,7 @@ def test_mcnemar_is_exact_and_counts_pairs():
 def test_equal_policies_do_not_differ():
     won = np.array([True, False, True])
     pair = paired_difference("a", "b", (won, won), (won * 1.0, won * 1.0), None, (0.0, 1.0))
-    assert pair.mcnemar_p == 1
+    assert pair.success_p == 1
     assert pair.return_difference.value == 0
 
 
@@ -46,8 +44,8 @@ def test_mcnemar_against_agresti():
     pair = paired_difference("a", "b", (a, b), (a * 1.0, b * 1.0), None, (0.0, 1.0))
     exact = 2 * sum(math.comb(236, k) for k in range(87)) / 2**236
     assert (pair.only_a, pair.only_b) == (150, 86)
-    assert pair.mcnemar_p == pytest.approx(exact)
-    assert pair.mcnemar_p == pytest.approx(math.erfc(4.17 / math.sqrt(2)), rel=0.25)
+    assert pair.success_p == pytest.approx(exact)
+    assert pair.success_p == pytest.approx(math.erfc(4.17 / math.sqrt(2)), rel=0.25)
 
 
 @pytest.mark.parametrize(
@@ -201,5 +199,5 @@ def test_where_success_is_unknown_nothing_is_known_of_it():
     scores = np.arange(20.0)
     pair = paired_difference("a", "b", None, (scores, scores[::-1]), None, None)
     assert (pair.success_difference, pair.steps_difference, pair.reversed().steps_difference) == (None, None, None)
-    assert (pair.mcnemar_p, pair.return_p, pair.return_difference.low) == (None, None, None)
+    assert (pair.success_p, pair.return_p, pair.return_difference.low) == (None, None, None)
     assert not pair.equivalent(0.9)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from armctl.stats.paired import mcnemar, mover, within
+from armctl.stats.difference import within
+from armctl.stats.paired import mcnemar, mover
 from armctl.stats.power import (
     detection_power,
     episodes_to_detect,

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from armctl.stats.difference import paired_difference
 from armctl.stats.intervals import Estimate, Superiority, success_rate
-from armctl.stats.paired import mcnemar, paired_difference
+from armctl.stats.paired import mcnemar
 from armctl.stats.robustness import NEUTRAL, Onset, degradations, robustness_headline, robustness_rankings
 
 N = 50
@@ -19,7 +20,7 @@ LIKE = paired_difference("a", "b", (np.ones(1), np.ones(1)), (np.ones(1), np.one
 def pair_of(p, lead, a="a", b="b"):
     """Two policies whose success differs by `lead`, with this p-value."""
     only_a, only_b = (round(100 * max(0.0, of_either)) for of_either in (lead, -lead))
-    return replace(LIKE, a=a, b=b, episodes=100, only_a=only_a, only_b=only_b, mcnemar_p=p)
+    return replace(LIKE, a=a, b=b, episodes=100, only_a=only_a, only_b=only_b, success_p=p)
 
 
 def points(wins, levels=(0.0, 1.0, 2.0), episodes=N, spared=()):
@@ -216,7 +217,7 @@ def test_returns_go_by_the_sign_test_and_never_by_means():
     both = frozenset("ab")
 
     def by_returns(p, lead):
-        return replace(LIKE, mcnemar_p=None, superiority=Superiority(Estimate((1 + lead) / 2, None, None), p))
+        return replace(LIKE, success_p=None, superiority=Superiority(Estimate((1 + lead) / 2, None, None), p))
 
     tests = {(*NEUTRAL, both): by_returns(1.0, 0.0), ("noise", 1.0, both): by_returns(0.3, -0.1)}
     tests["noise", 2.0, both] = by_returns(1e-9, -0.9)

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from armctl.stats import intervals as statistics
-from armctl.stats.paired import EQUIVALENCE, paired_difference
+from armctl.stats.difference import EQUIVALENCE, paired_difference
 from armctl.stats.trainings import (
     difference_over_trainings,
     interquartile_mean,
@@ -233,7 +233,7 @@ def test_equivalence_of_groups_is_corrected_for_the_number_of_claims(num_compari
     assert pair.equivalent(1.04 - level ** (1 / 4), num_comparisons)
     assert not pair.equivalent(0.96 - level ** (1 / 4), num_comparisons)
     assert pair.crossed.estimate == difference_over_trainings(won, other, SHARES).estimate
-    assert (pair.mcnemar_p, pair.crossed.p) == (1, 1)
+    assert (pair.success_p, pair.crossed.p) == (1, 1)
     earned = difference_over_trainings(9 * won, other, (0.0, 9.0))
     assert (pair.return_difference, pair.return_p) == (earned.estimate, earned.p)
     assert earned.p < 1

@@ -36,7 +36,7 @@ def test_every_policy_meets_the_same_episodes(sized, tmp_path):
     assert [policy["policy"] for policy in summary["policies"]] == ["reach_ik", "reach_ppo", "random"]
     assert summary["policies"][1]["training"]["decisions"] > 0
     assert {"mujoco", "pin", "armctl-suite", "python"} <= set(summary["versions"])
-    assert len(summary["paired"]) == 3
+    assert len(summary["differences"]) == 3
 
 
 def test_an_episode_of_the_table_can_be_played_again():
@@ -105,7 +105,7 @@ def test_labels_do_not_depend_on_the_line_up(monkeypatch):
 def test_all_figures_are_over_the_same_feasible_episodes():
     comparison = compare(["reach_ik", "random"], episodes=12, worlds=12, env_options=BOX)
     ik, random = comparison.policies
-    (pair,) = comparison.paired
+    (pair,) = comparison.differences
     assert ik.episodes == random.episodes == pair.episodes == 12 - ik.infeasible < 12
     assert pair.only_a - pair.only_b == pytest.approx(pair.episodes * (ik.success.value - random.success.value))
 
@@ -164,7 +164,7 @@ def test_tables_fit_a_narrow_terminal():
 @pytest.mark.slow
 def test_verdict_names_the_better():
     comparison = compare(["random", "reach_ik"], episodes=12)
-    sentence = verdict(comparison.policies, comparison.paired).result
+    sentence = verdict(comparison.policies, comparison.differences).result
     assert sentence.startswith("reach_ik is better than random: success +100.0 points [")
 
 

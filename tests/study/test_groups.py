@@ -61,10 +61,10 @@ def test_a_group_is_one_learner_of_several_policies(folder, results):
     crossed = mean_over_trainings(scores, (0.0, 1.0))
     assert (group.success, group.if_normal) == (crossed.mean, crossed.if_normal)
     assert group.between_seed_std == crossed.between_seed_std
-    (pair,) = results.paired
+    (pair,) = results.differences
     won = rows[rows.policy == "reach_ik"].success.to_numpy(float)[None]
     assert pair.crossed == difference_over_trainings(won, scores, (0.0, 1.0))
-    assert pair.mcnemar_p == pair.crossed.p
+    assert pair.success_p == pair.crossed.p
     assert pair.both_won + pair.only_a + pair.only_b + pair.neither == 12
     assert expert.trainings == {}
 
@@ -83,7 +83,7 @@ def test_a_group_resumes_and_is_the_same_with_workers(folder, tmp_path, results)
     assert more.resumed == 48
     assert "after an earlier look at 12 episodes" in str(more.verdict)
     assert "earlier look" not in str(again.verdict)
-    assert again.paired == results.paired
+    assert again.differences == results.differences
     assert again.verdict.result == results.verdict.result
 
 
@@ -108,11 +108,11 @@ def test_two_groups_and_a_baseline(runs, monkeypatch):
     made = armctl.compare(["mine[*]", "random", "reach_ik"], episodes=10, worlds=10, baseline="mine[*]")
     assert made.verdict.result.startswith("Undecided between reach_ik and mine[*]: success ")
     assert ". Undecided between mine[*] and random: success +" in made.verdict.context
-    assert [pair.crossed is None for pair in made.paired] == [False, False, True]
+    assert [pair.crossed is None for pair in made.differences] == [False, False, True]
     # Two trainings that never fail are one in two with a probability of 1/4: that is no proof against random actions.
     assert all(rate == 1 for rate in made.policies[0].trainings.values())
     assert made.policies[1].success.value < 0.5
-    assert made.paired[0].mcnemar_p > 0.05
+    assert made.differences[0].success_p > 0.05
 
 
 def test_a_group_in_a_sweep(tmp_path):

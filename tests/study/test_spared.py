@@ -33,7 +33,7 @@ def test_who_reads_no_observation_is_spared_its_noise(noisy):
 
 def test_no_pair_with_a_spared_policy_is_tested_or_told(noisy):
     found, _ = noisy
-    assert [{pair.a, pair.b} for pair in found.paired] == [{"bridge_state_ppo", "bridge_ppo"}]
+    assert [{pair.a, pair.b} for pair in found.differences] == [{"bridge_state_ppo", "bridge_ppo"}]
     assert found.verdict.context.endswith(
         "because the disturbance does not affect them: bridge_mpc (noise), random (noise)."
     )

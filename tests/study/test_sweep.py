@@ -85,7 +85,7 @@ def test_the_pairs_of_a_sweep_are_kept(finished):
     found, folder = finished
     both = frozenset(POLICIES)
     pairs = {
-        name: one.paired[0]
+        name: one.differences[0]
         for name, one in found.comparisons.items()
         if name != "noise-0.05"  # which spares random: it reads no observation
     }

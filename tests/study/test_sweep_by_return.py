@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.stats.paired import paired_difference
+from armctl.stats.difference import paired_difference
 from armctl.stats.robustness import FALSE_DISCOVERY_RATE, Onset, change_between, degradations, robustness_rankings
 from armctl.stats.trainings import FEWEST_TRAININGS
 

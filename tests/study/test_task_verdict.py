@@ -11,8 +11,9 @@ import pytest
 from armctl.episodes.stored import UNDISTURBED
 from armctl.report.suite_page import write_suite_page
 from armctl.stats.across_tasks import Choice, TaskPair, pairwise_by_task
+from armctl.stats.correction import holm
 from armctl.stats.intervals import Estimate, bounded_difference
-from armctl.stats.paired import holm, mcnemar
+from armctl.stats.paired import mcnemar
 from armctl.study import Study, sweep
 from armctl.study.task_verdict import TaskVerdict, holm_corrected, suite_headline, task_verdict
 

@@ -6,10 +6,8 @@ import itertools
 import numpy as np
 
 from armctl.agents.costs import TrainingCost
+from armctl.stats.difference import paired_difference
 from armctl.stats.intervals import success_rate
-from armctl.stats.paired import (
-    paired_difference,
-)
 from armctl.verdict.sentences import verdict
 from armctl.verdict.summary import PolicySummary
 

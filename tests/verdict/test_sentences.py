@@ -8,10 +8,8 @@ import pytest
 
 import armctl
 from armctl.core.errors import ConfigurationError
+from armctl.stats.difference import paired_difference
 from armctl.stats.intervals import Estimate
-from armctl.stats.paired import (
-    paired_difference,
-)
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.verdict.sentences import verdict
 

@@ -9,17 +9,12 @@ import pytest
 from scipy import stats
 
 from armctl.agents.costs import TrainingCost
+from armctl.stats.correction import holm, holm_adjusted
+from armctl.stats.difference import Difference, Simultaneous, paired_difference
 from armctl.stats.intervals import Estimate, Superiority
-from armctl.stats.paired import (
-    PairedDifference,
-    Simultaneous,
-    holm,
-    holm_adjusted,
-    mover,
-    paired_difference,
-)
+from armctl.stats.paired import mover
 from armctl.verdict.sentences import verdict_pairs
-from armctl.verdict.summary_tables import paired_table
+from armctl.verdict.summary_tables import difference_table
 
 from .made_up_verdicts import AGENTS, compared, played, said, summary_of, text_of
 
@@ -28,7 +23,7 @@ def test_all_that_a_verdict_may_tell_is_corrected_together():
     wins = {"reach_ik": range(390), "reach_ppo": range(380), "reach_mpc": range(375)}
     pace = {"reach_ik": np.full(400, 20.0), "reach_ppo": np.arange(400) % 40, "reach_mpc": np.arange(400) % 38}
     _, pairs = played(wins, steps=pace)
-    tests = [p for pair in pairs for p in (pair.mcnemar_p, pair.steps_p, pair.return_p)]
+    tests = [p for pair in pairs for p in (pair.success_p, pair.steps_p, pair.return_p)]
     found = holm_adjusted(pairs)
     assert [p for one in found for p in (one.success, one.steps, one.returns)] == holm(tests)
     assert {one.tests for one in found} == {9}
@@ -36,7 +31,7 @@ def test_all_that_a_verdict_may_tell_is_corrected_together():
     of_ik = holm_adjusted(pairs, "reach_ik")
     assert [one for one in of_ik if one.tests == 6] == holm_adjusted(with_ik)
     assert [one for one in of_ik if one.tests == 9] == [found[2]]
-    assert paired_table(pairs).records[0]["p_corrected"] == found[0].success
+    assert difference_table(pairs).records[0]["p_corrected"] == found[0].success
 
 
 @pytest.fixture
@@ -81,7 +76,7 @@ def counted(won):
     """Pairs that know only of success."""
     never = Estimate(0.0, None, None)
     return [
-        PairedDifference(
+        Difference(
             a, b, len(won[a]), 0, int((won[a] & ~won[b]).sum()), int((won[b] & ~won[a]).sum()), 0, 1.0, never,
             Superiority(never, 1.0), None, Simultaneous(never, never, None),
         )

@@ -11,8 +11,9 @@ from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable
 from armctl.report.page import _command
+from armctl.stats.correction import holm_adjusted
+from armctl.stats.difference import paired_difference
 from armctl.stats.intervals import Estimate, bounded_mean, median, worst_decile
-from armctl.stats.paired import holm_adjusted, paired_difference
 from armctl.study.results import read_comparison
 from armctl.verdict.summary import summarise
 
@@ -73,7 +74,7 @@ def test_without_bounds_nothing_is_concluded_from_a_mean(skewed):
         if not skewed:
             earned["bold"] = rng.normal(5, 3, EPISODES)
         found = comparison_of(earned, None)
-        (pair,) = found.paired
+        (pair,) = found.differences
         assert (pair.return_difference.low, pair.return_difference.high, pair.return_p) == (None, None, None)
         for policy in found.policies:
             for name in BY_MEAN:
@@ -83,7 +84,9 @@ def test_without_bounds_nothing_is_concluded_from_a_mean(skewed):
             assert policy.median_return.low < policy.median_return.high
         assert " earns " not in said_in(found)
         assert " more return per episode" not in said_in(found)
-        assert holm_adjusted(found.paired)[0].higher == pair.superiority.p < 0.05  # the sign test is valid, and stays
+        assert (
+            holm_adjusted(found.differences)[0].higher == pair.superiority.p < 0.05
+        )  # the sign test is valid, and stays
         assert "sign test" in str(found.verdict)
 
 
@@ -121,7 +124,7 @@ def test_bounds_decide_whether_a_mean_of_returns_has_an_interval():
         assert b.median_return is None
     assert unknown.document().tables[0].rows[0][1].small == "unknown"
     assert known.document().tables[0].rows[0][1].small != "unknown"
-    assert known.paired[0].return_p <= 1
+    assert known.differences[0].return_p <= 1
 
 
 def test_groups_of_trainings_are_no_exception():

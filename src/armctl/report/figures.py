@@ -29,7 +29,7 @@ from armctl.report.style import (
     with_rows,
 )
 from armctl.rollout.decision_times import Machines, comparable_times
-from armctl.stats.paired import PairedDifference
+from armctl.stats.difference import Difference
 from armctl.verdict.summary import PolicySummary
 
 
@@ -78,7 +78,7 @@ def return_points(policies: Sequence[PolicySummary], styles: Styles) -> go.Figur
     return with_rows(figure, len(policies), x, right=130)
 
 
-def paired(pair: PairedDifference, episodes: Mapping[str, EpisodeTable], styles: Styles) -> go.Figure:
+def paired(pair: Difference, episodes: Mapping[str, EpisodeTable], styles: Styles) -> go.Figure:
     """Scatter plot of two policies' returns, episode by episode. A dot's size shows how many episodes coincide."""
     a, b = styles[pair.a], styles[pair.b]
     returns = [

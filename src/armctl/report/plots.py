@@ -17,8 +17,9 @@ from armctl.report import cost_figures, figures, style
 from armctl.report.colours import TERM_COLOURS
 from armctl.report.profile import profile, profile_start
 from armctl.rollout.decision_times import Machines
+from armctl.stats.correction import AdjustedP, holm_adjusted
+from armctl.stats.difference import Difference
 from armctl.stats.intervals import Estimate
-from armctl.stats.paired import AdjustedP, PairedDifference, holm_adjusted
 from armctl.stats.robustness import RobustnessRanking
 from armctl.study.comparison import Comparison
 from armctl.study.curves import training_curves
@@ -176,7 +177,9 @@ def _profile(comparison: Comparison, styles: style.Styles) -> Plot:
 
 
 def _paired(comparison: Comparison, styles: style.Styles) -> list[Plot]:
-    pairs = list(zip(comparison.paired, holm_adjusted(comparison.paired, comparison.facts.baseline), strict=True))
+    pairs = list(
+        zip(comparison.differences, holm_adjusted(comparison.differences, comparison.facts.baseline), strict=True)
+    )
     if len(pairs) > MAX_PAIRS:
         reached = [policy for policy in comparison.policies if not policy.spared]
         best = max(reached, key=lambda policy: _score(policy.success or policy.episode_return))
@@ -208,11 +211,11 @@ def _besides_decisions(policies: Sequence[PolicySummary]) -> str:
     return " ".join(sentences)
 
 
-def _difference(pair: PairedDifference, p: AdjustedP) -> str:
+def _difference(pair: Difference, p: AdjustedP) -> str:
     """Describe a pair's figure in numbers."""
     gain = pair.return_difference
     earns = "Return unknown." if math.isnan(gain.value) else f"Return {gain.value:+.1f} ({spread(gain, sign='+')})."
-    if pair.mcnemar_p is None:
+    if pair.success_p is None:
         chance = 100 * pair.superiority.probability.value
         interval = spread(pair.superiority.probability, 100)
         return style.signed(

@@ -18,6 +18,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
+from armctl.stats.correction import holm
+from armctl.stats.difference import EQUIVALENCE, SIGNIFICANT, significant, within
 from armctl.stats.intervals import (
     FEWEST,
     Estimate,
@@ -26,7 +28,7 @@ from armctl.stats.intervals import (
     mean_of_means,
     success_rate,
 )
-from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT, holm, mcnemar, mover, significant, within
+from armctl.stats.paired import mcnemar, mover
 
 SELECTION_STRIDE = 3
 """Distance between two episodes that select a policy, and do not count for it."""

@@ -8,7 +8,7 @@ import scipy
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.stats.paired import EQUIVALENCE, SIGNIFICANT
+from armctl.stats.difference import EQUIVALENCE, SIGNIFICANT
 
 NEGLIGIBLE = 1e-8
 """Probability of the counts that are left out at either end."""

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 import scipy
 
+from armctl.stats.difference import MARGIN, Difference
 from armctl.stats.intervals import paired_superiority, sign_of_difference
-from armctl.stats.paired import MARGIN, PairedDifference, mcnemar
+from armctl.stats.paired import mcnemar
 from armctl.stats.trainings import mean_over_trainings
 
 FALSE_DISCOVERY_RATE = 0.05
@@ -187,7 +188,7 @@ class RobustnessRanking:
         return f"{'. '.join(sentences)}."
 
 
-def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, PairedDifference]) -> list[RobustnessRanking]:
+def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, Difference]) -> list[RobustnessRanking]:
     """Return the ranking under each disturbance, from the rows of `sweep.csv`.
 
     `pairs` are the tests of each two policies in the same episodes (`Sweep.pairs`). Two policies differ at a level if
@@ -241,7 +242,7 @@ def _ranking(
     rows: pd.DataFrame,
     ranked: pd.DataFrame,
     columns: tuple[str, str, str],
-    tests: Mapping[PairKey, PairedDifference],
+    tests: Mapping[PairKey, Difference],
     significant: set[PairKey],
     num_disturbances: int,
 ) -> RobustnessRanking:
@@ -293,7 +294,7 @@ def _ranking(
     )
 
 
-def _equivalent(test: PairedDifference, num_disturbances: int) -> bool:
+def _equivalent(test: Difference, num_disturbances: int) -> bool:
     """Return True for equivalence in one of so many claims, each of which needs it at all of its levels.
 
     That all levels must show it needs no correction; that there are several claims does. Groups of trainings are left

@@ -13,14 +13,14 @@ from armctl.policies import learners
 from armctl.rollout.decision_times import Machines, load_notes, timing_notes, without_deadline_verdicts
 from armctl.rollout.real_time import MEASURED
 from armctl.runtime.provenance import Run, argument_notes, earlier_looks
-from armctl.stats.paired import PairedDifference
+from armctl.stats.difference import Difference
 from armctl.verdict.facts import Facts
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.notes import certificate_notes, motion_notes, unclean_notes
 from armctl.verdict.scores import by_learner
 from armctl.verdict.sentences import Verdict, verdict
 from armctl.verdict.summary import PolicySummary, counted_results, summarise
-from armctl.verdict.summary_tables import details, paired_table, policy_table
+from armctl.verdict.summary_tables import details, difference_table, policy_table
 from armctl.verdict.tables import Document, Remark, Table
 
 NO_SUCCESS_SIGNAL = (
@@ -45,7 +45,7 @@ class Comparison(Displayed):
     runs: Sequence[Run] = ()
     """Runs that played the episodes, or that printed another verdict."""
     policies: list[PolicySummary] = field(default_factory=list)
-    paired: list[PairedDifference] = field(default_factory=list)
+    differences: list[Difference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     """Remarks: about the environment, and about what the figures depend on."""
     tracebacks: dict[str, str] = field(default_factory=dict)
@@ -110,7 +110,7 @@ class Comparison(Displayed):
         """Verdict on the better policy, by how much and at what cost; None for a single policy."""
         if len(self.policies) < 2:
             return None
-        return verdict(self.policies, self.paired, self.facts.baseline, self.facts.margin, self.looks)
+        return verdict(self.policies, self.differences, self.facts.baseline, self.facts.margin, self.looks)
 
     def document(self) -> Document:
         """Return the verdict, the tables and all remarks."""
@@ -121,8 +121,8 @@ class Comparison(Displayed):
         if self.policies:
             parts.append(policy_table(self.env, self.seed, self.policies, self.facts.disqualified))
         parts += [details(policy) for policy in self.policies]
-        if self.paired:
-            parts.append(paired_table(self.paired, self.facts.baseline))
+        if self.differences:
+            parts.append(difference_table(self.differences, self.facts.baseline))
         if verdict and verdict.context:
             parts.append(Remark(verdict.context))
         if self.policies and (infeasible := self.policies[0].infeasible):
@@ -162,7 +162,7 @@ def concluded(
     comparison.tracebacks = tracebacks or {}
     if not len(results):
         return comparison
-    comparison.policies, comparison.paired = summarise(results, facts, runs)
+    comparison.policies, comparison.differences = summarise(results, facts, runs)
     counted, _ = counted_results(results)
     by_return = bool(comparison.policies) and comparison.policies[0].success is None
     comparison.notes += [
@@ -172,6 +172,6 @@ def concluded(
         *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),
         *([NO_SUCCESS_SIGNAL.format(env=bare_id(comparison.env))] if by_return else []),
         *(load_notes(results, runs) if latencies else []),
-        *(argument_notes(runs, facts.baseline, facts.margin) if comparison.paired else []),
+        *(argument_notes(runs, facts.baseline, facts.margin) if comparison.differences else []),
     ]
     return comparison

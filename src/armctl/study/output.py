@@ -67,7 +67,7 @@ def summary(comparison: Comparison) -> dict[str, Any]:
         "policy_seed": str(comparison.facts.policy_seed),
         "notes": comparison.notes,
         "policies": [asdict(policy) for policy in comparison.policies],
-        "paired": [asdict(difference) for difference in comparison.paired],
+        "differences": [asdict(difference) for difference in comparison.differences],
         "runs": [asdict(run) for run in comparison.runs],
         "comparison": comparison.identity,
     }

@@ -25,7 +25,7 @@ from armctl.rollout.real_time import (
     real_time_of,
 )
 from armctl.runtime.engines import Engine, engine_of
-from armctl.stats.paired import MARGIN
+from armctl.stats.difference import MARGIN
 from armctl.study.levels import Disturbances, checked_levels, disturbance_specs, setting_name
 from armctl.study.line_up import FULL, QUICK, default_policies, line_up, main_disturbances, unusable_agents
 from armctl.study.options import (

@@ -17,8 +17,8 @@ from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import check_from_file, full_id
 from armctl.policies.trainings import card_path
 from armctl.rollout.loop import evaluate
+from armctl.stats.correction import holm
 from armctl.stats.intervals import success_rate
-from armctl.stats.paired import holm
 
 FIGURES = {
     "success_rate": "success", "success_interval": "the interval of success", "mean_return": "return",

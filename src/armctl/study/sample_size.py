@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.stats.paired import LEVELS
+from armctl.stats.difference import LEVELS
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Document, Remark, Table
 
@@ -100,8 +100,8 @@ def _planned(pilot: Path) -> _Planned:
     pilot_results = read_comparison(pilot)
     pairs_by_success = [
         pair
-        for pair in pilot_results.paired
-        if pair.mcnemar_p is not None and pilot_results.facts.baseline in (None, pair.a, pair.b)
+        for pair in pilot_results.differences
+        if pair.success_p is not None and pilot_results.facts.baseline in (None, pair.a, pair.b)
     ]
     left_out = [f"{pair.a} {AGAINST}{pair.b}" for pair in pairs_by_success if pair.crossed is not None]
     policy_pairs = {Cell(pair.a, AGAINST + pair.b): pair for pair in pairs_by_success if pair.crossed is None}
@@ -109,5 +109,5 @@ def _planned(pilot: Path) -> _Planned:
         why = f": {TRAININGS}" if left_out else ""
         raise ResultsError(f"{pilot} has no pair of policies whose success is known, and so nothing to plan by{why}")
     shares = {name: (pair.only_a + pair.only_b + 1) / (pair.episodes + 2) for name, pair in policy_pairs.items()}
-    pair = verdict_pairs(pilot_results.policies, pilot_results.paired, pilot_results.facts.baseline)[0]
+    pair = verdict_pairs(pilot_results.policies, pilot_results.differences, pilot_results.facts.baseline)[0]
     return _Planned(shares, pair.p.tests, pair.num_comparisons, left_out)

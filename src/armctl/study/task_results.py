@@ -11,8 +11,8 @@ from pydantic import InstanceOf
 
 from armctl.episodes.stored import UNDISTURBED
 from armctl.rollout.real_time import SLOW_DOWN_NAME
+from armctl.stats.difference import Difference
 from armctl.stats.intervals import Estimate
-from armctl.stats.paired import PairedDifference
 from armctl.stats.robustness import NEUTRAL, PairKey, change_between
 from armctl.study.comparison import Comparison
 from armctl.study.levels import setting_name
@@ -103,13 +103,13 @@ class Sweep(Displayed):
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
     @property
-    def pairs(self) -> dict[PairKey, PairedDifference]:
+    def pairs(self) -> dict[PairKey, Difference]:
         """The tests of each two policies in the same episodes."""
         where = self.settings | {UNDISTURBED: NEUTRAL}
         return {
             (*where[name], frozenset((pair.a, pair.b))): pair
             for name, comparison in self.comparisons.items()
-            for pair in comparison.paired
+            for pair in comparison.differences
         }
 
     @property

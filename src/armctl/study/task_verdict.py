@@ -13,8 +13,9 @@ from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import privileges
 from armctl.runtime.provenance import looks_in_words
 from armctl.stats.across_tasks import Choice, TaskPair, choose, pairwise_by_task, rate_of, values_of
+from armctl.stats.correction import holm
+from armctl.stats.difference import MARGIN, within
 from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
-from armctl.stats.paired import MARGIN, holm, within
 from armctl.stats.robustness import listed
 from armctl.study.comparison import Comparison
 from armctl.study.task_results import Sweep

@@ -64,3 +64,5 @@ class Facts:
     interrupted: bool
     resumed: int
     """Number of episodes that an earlier run had finished."""
+    paired: bool = True
+    """True if all policies played the same episodes."""

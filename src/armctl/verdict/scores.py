@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
+from armctl.stats.difference import Difference, paired_difference
 from armctl.stats.intervals import Bounds
-from armctl.stats.paired import PairedDifference, paired_difference
 
 WITHIN_RANGE, WITHIN_SPEED = 1.01, 1.2
 """Largest use of a joint's range, and of its speed limit, in a clean episode: servos overshoot a little."""
@@ -80,7 +80,7 @@ def _score(name: str, results: EpisodeTable, limits: Limits) -> NDArray[Any]:
     return np.asarray(np.maximum(length, 1))  # a policy that failed at once had begun its first step
 
 
-def pairs_of(trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Limits) -> list[PairedDifference]:
+def pairs_of(trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Limits) -> list[Difference]:
     """Compare each two learners, given the results of their trainings, on the episodes that both played."""
     pairs = []
     for a, b in itertools.combinations(trained, 2):

@@ -9,16 +9,9 @@ from dataclasses import dataclass
 
 from armctl.policies import policy_names, privileges
 from armctl.runtime.provenance import looks_in_words
+from armctl.stats.correction import AdjustedP, holm_adjusted
+from armctl.stats.difference import MARGIN, SIGNIFICANT, Difference, significant, within
 from armctl.stats.intervals import FEWEST, Estimate
-from armctl.stats.paired import (
-    MARGIN,
-    SIGNIFICANT,
-    AdjustedP,
-    PairedDifference,
-    holm_adjusted,
-    significant,
-    within,
-)
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import UNKNOWN, p_value, points, size
@@ -30,7 +23,7 @@ class Pair:
 
     first: PolicySummary
     second: PolicySummary
-    difference: PairedDifference
+    difference: Difference
     """The first minus the second."""
     p: AdjustedP
     num_comparisons: int
@@ -59,7 +52,7 @@ class Verdict:
 
 def verdict(
     policies: Sequence[PolicySummary],
-    paired: Sequence[PairedDifference],
+    differences: Sequence[Difference],
     baseline: str | None = None,
     margin: float = MARGIN,
     looks: Sequence[int] = (),
@@ -71,12 +64,12 @@ def verdict(
     success below which policies count as equivalent. `looks` are the numbers of episodes after which a verdict was
     printed before. Policies that a disturbance does not affect are in no pair, and named at the end.
     """
-    fewest = min((pair.episodes for pair in paired), default=FEWEST)
+    fewest = min((pair.episodes for pair in differences), default=FEWEST)
     remarks = (*map(_physics_failed, policies), _not_tested(policies))
     if fewest < FEWEST:
         result = f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: at least {FEWEST} are needed."
         return Verdict(result, context=_joined(*remarks))
-    pairs = verdict_pairs(policies, paired, baseline)
+    pairs = verdict_pairs(policies, differences, baseline)
     if not pairs:
         return Verdict(_joined(*remarks))
     first, *others = (_sentences(pair, margin, looks) for pair in pairs)
@@ -90,7 +83,7 @@ def _joined(*sentences: str) -> str:
 
 
 def verdict_pairs(
-    policies: Sequence[PolicySummary], paired: Sequence[PairedDifference], baseline: str | None
+    policies: Sequence[PolicySummary], differences: Sequence[Difference], baseline: str | None
 ) -> list[Pair]:
     """Return the pairs of a verdict, the most important one first. A `baseline` that has not played is none.
 
@@ -103,11 +96,11 @@ def verdict_pairs(
     chosen = _chosen_pairs(policies, baseline)
     num_comparisons = _num_comparisons(policies, len(chosen), baseline)
     by_name = {policy.policy: policy for policy in policies}
-    adjusted = holm_adjusted(paired, baseline)
+    adjusted = holm_adjusted(differences, baseline)
     pairs = []
     for names in chosen:
-        i = next(i for i, pair in enumerate(paired) if {pair.a, pair.b} == set(names))
-        difference, gain = paired[i], _gain(paired[i])
+        i = next(i for i, pair in enumerate(differences) if {pair.a, pair.b} == set(names))
+        difference, gain = differences[i], _gain(differences[i])
         if gain < 0 or (not gain > 0 and difference.a != names[0]):
             difference = difference.reversed()
         first, second = by_name[difference.a], by_name[difference.b]
@@ -136,7 +129,7 @@ def _num_comparisons(policies: Sequence[PolicySummary], num_chosen: int, baselin
     return mixed if mixed and num_chosen == 1 else math.comb(len(policies), 2)
 
 
-def _gain(pair: PairedDifference) -> float:
+def _gain(pair: Difference) -> float:
     """Return by how much a is better than b, by the first figure in which they differ at all; 0 if there is none."""
     success, steps = pair.success_difference, pair.steps_difference
     if success is None and pair.return_p is None:

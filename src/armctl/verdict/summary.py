@@ -17,8 +17,8 @@ from armctl.envs.vector import UNSTABLE
 from armctl.episodes.table import EpisodeTable
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
 from armctl.runtime.provenance import Run
+from armctl.stats.difference import Difference
 from armctl.stats.intervals import Bounds, Estimate, bounded_mean, median, success_rate, worst_decile
-from armctl.stats.paired import PairedDifference
 from armctl.stats.trainings import mean_over_trainings
 from armctl.verdict.facts import Facts
 from armctl.verdict.scores import Limits, by_learner, pairs_of, scores_of
@@ -177,7 +177,7 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
 def summarise(
     results: EpisodeTable, facts: Facts, runs: Iterable[Run] = ()
-) -> tuple[list[PolicySummary], list[PairedDifference]]:
+) -> tuple[list[PolicySummary], list[Difference]]:
     """Return summaries of policies and of pairs. `results` are sorted by policy and episode.
 
     Each group of trainings counts as one policy; one of which a training has not finished an episode has no figures. If

@@ -8,8 +8,9 @@ import pandas as pd
 
 from armctl.agents.costs import TrainingCost
 from armctl.runtime.provenance import with_looks
+from armctl.stats.correction import holm_adjusted
+from armctl.stats.difference import Difference
 from armctl.stats.intervals import FEWEST, Estimate
-from armctl.stats.paired import PairedDifference, holm_adjusted
 from armctl.stats.robustness import (
     FALSE_DISCOVERY_RATE,
     GROUP,
@@ -143,9 +144,9 @@ def trainings_in_words(policy: PolicySummary) -> str:
     return f"{name} by training {each}{unit}, {spread}{student}"
 
 
-def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None) -> Table:
+def difference_table(pairs: Sequence[Difference], baseline: str | None = None) -> Table:
     """Return a row for each pair of policies: by success, or by the higher return if success is unknown."""
-    by_success = any(pair.mcnemar_p is not None for pair in pairs)
+    by_success = any(pair.success_p is not None for pair in pairs)
     name, gain = Column("a - b"), Column("return")
     columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
     p_values = holm_adjusted(pairs, baseline)
@@ -176,10 +177,10 @@ def paired_table(pairs: Sequence[PairedDifference], baseline: str | None = None)
         }
         for pair, p in zip(pairs, p_values, strict=True)
     ]  # fmt: skip
-    return Table("paired", "Paired differences, on the same episodes", columns, rows, records, caption)
+    return Table("differences", "Paired differences, on the same episodes", columns, rows, records, caption)
 
 
-def _if_normal(pairs: Sequence[PairedDifference]) -> str:
+def _if_normal(pairs: Sequence[Difference]) -> str:
     """Return Student's intervals of pairs with several trainings, and their assumption."""
     differences = [
         f"{pair.a} - {pair.b} {100 * pair.crossed.if_normal.value:+.1f}{interval} points"
@@ -190,7 +191,7 @@ def _if_normal(pairs: Sequence[PairedDifference]) -> str:
 
 
 def sweep_parts(
-    points: pd.DataFrame, pairs: Mapping[PairKey, PairedDifference], looks: Sequence[int] = ()
+    points: pd.DataFrame, pairs: Mapping[PairKey, Difference], looks: Sequence[int] = ()
 ) -> list[Table | Remark]:
     """Return a table for each disturbance, of all policies at all levels, and from which level each gets worse.
 

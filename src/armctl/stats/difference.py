@@ -1,0 +1,223 @@
+"""Difference of two policies in success, steps and return, and equivalence."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armctl.core.arrays import Array
+from armctl.stats.intervals import (
+    Bounds,
+    Estimate,
+    Superiority,
+    bounded_difference,
+    bounded_mean,
+    paired_superiority,
+    sign_of_difference,
+)
+from armctl.stats.paired import counts_of_pairs, mcnemar, mover
+from armctl.stats.trainings import CrossedDifference, difference_over_trainings, superiority_over_trainings
+
+EQUIVALENCE = 0.05
+"""Level of each of the two tests that show equivalence."""
+SIGNIFICANT = 0.05
+"""Largest p-value of a difference that a verdict states."""
+LEVELS = 3
+"""Number of tests of a pair: success, steps and return."""
+UNCERTAINTY = 0.05
+"""Probability that an interval misses, shared between the pairs for which it holds at once."""
+MARGIN = 0.02
+"""Largest difference in success of policies that count as equivalent, unless another one is given."""
+
+
+@dataclass(frozen=True)
+class Simultaneous:
+    """Intervals that hold at once for all pairs of a comparison: each at 95 %, its 5 % divided by their number."""
+
+    returns: Estimate
+    superiority: Estimate
+    steps: Estimate | None
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Policy a against policy b."""
+
+    a: str
+    b: str
+    episodes: int
+    both_won: int
+    only_a: int
+    only_b: int
+    neither: int
+    success_p: float | None
+    """Exact two-sided p-value for equal success: McNemar's (1947) of pairs, or that of `crossed`; None if unknown.
+
+    Counts are 0 then. Those of several trainings are means over these."""
+    return_difference: Estimate
+    """Mean of return a - return b; its interval is unknown where the possible returns are."""
+    superiority: Superiority
+    """Superiority of return a over return b."""
+    steps_difference: Estimate | None
+    """Mean of steps to the goal of a - those of b, a failure counting as the time limit; None without a limit."""
+    simultaneous: Simultaneous
+    return_p: float | None = None
+    """Two-sided p-value for equal returns in the mean; None where the possible returns are unknown."""
+    steps_p: float | None = None
+    """Two-sided p-value for equal steps to the goal in the mean; None without `steps_difference`."""
+    crossed: CrossedDifference | None = None
+    """Difference in success, if a or b is several trainings and success is known."""
+    paired: bool = True
+    """True if both played the same episodes."""
+
+    @property
+    def success_difference(self) -> Estimate | None:
+        """Success rate of a minus that of b, with its 95 % interval; None if success is unknown."""
+        return self.success_among(1)
+
+    def success_among(self, num_comparisons: int) -> Estimate | None:
+        """Return the difference in success with an interval that holds at once for so many pairs.
+
+        Over trainings, it holds for one pair, or for all of the comparison.
+        """
+        if self.crossed is not None:
+            return self.crossed.estimate if num_comparisons == 1 else self.crossed.simultaneous
+        if self.success_p is None:
+            return None
+        return mover(self.only_a, self.only_b, self.episodes, 1 - UNCERTAINTY / num_comparisons)
+
+    @property
+    def p(self) -> float:
+        """p-value for equal success, or that of the sign test if success is unknown."""
+        return self.superiority.p if self.success_p is None else self.success_p
+
+    def lead_of(self, policy: str) -> float:
+        """Return the statistic that `p` tests, of one policy against the other.
+
+        Its success minus the other's; if that is unknown, the share of episodes in which it has the higher return minus
+        the share in which it has the lower one.
+        """
+        success = self.success_difference
+        lead = success.value if success else 2 * self.superiority.probability.value - 1
+        return lead if policy == self.a else -lead
+
+    def equivalent(self, margin: float, num_comparisons: int = 1) -> bool:
+        """Return True if success differs by less than `margin`.
+
+        By two one-sided tests (Schuirmann 1987) at 5 % / `num_comparisons`.
+        """
+        if self.success_p is None:
+            return False
+        level = 1 - 2 * EQUIVALENCE / num_comparisons
+        difference = self.crossed.ci90 if self.crossed else mover(self.only_a, self.only_b, self.episodes, level)
+        return within(difference, margin)
+
+    def reversed(self) -> "Difference":
+        """Return policy b against policy a, by the same tests."""
+        wide, higher = self.simultaneous, self.superiority
+        return replace(
+            self, a=self.b, b=self.a, only_a=self.only_b, only_b=self.only_a,
+            return_difference=-self.return_difference,
+            steps_difference=None if self.steps_difference is None else -self.steps_difference,
+            superiority=replace(higher, probability=higher.probability.complement),
+            crossed=None if self.crossed is None else -self.crossed,
+            simultaneous=Simultaneous(
+                -wide.returns, wide.superiority.complement, None if wide.steps is None else -wide.steps
+            ),
+        )  # fmt: skip
+
+
+def within(difference: Estimate, margin: float) -> bool:
+    """Return True if the whole interval of a difference is smaller than `margin`."""
+    low, high = difference.bounds
+    return -margin < low and high < margin
+
+
+def significant(difference: Estimate, p: float | None) -> bool:
+    """Return True if a difference is significant by its p-value and by its interval."""
+    low, high = difference.bounds
+    return p is not None and p < SIGNIFICANT and (low > 0 or high < 0)
+
+
+def paired_difference(
+    a: str,
+    b: str,
+    success: tuple[Array, Array] | None,
+    returns: tuple[Array, Array],
+    steps: tuple[Array, Array] | None,
+    return_bounds: Bounds | None,
+    time_limit: int | None = None,
+    num_comparisons: int = 1,
+) -> Difference:
+    """Compare two policies, or learners of several trainings each.
+
+    Scores are arrays (episodes,) or (trainings, episodes), whose columns are the same episodes; there is at least one.
+    `success` is None if it is unknown, `steps` are the restricted steps to the goal. `return_bounds` are those of each
+    policy's return, None if they are unknown. The simultaneous intervals, and equivalence of several trainings, hold
+    for `num_comparisons` pairs.
+    """
+    wide = 1 - UNCERTAINTY / num_comparisons
+    returns = _tables(returns)
+    if not all(np.isfinite(scores).all() for scores in returns):  # a policy failed, at an unknown cost
+        mean_returns = np.full_like(returns[0], math.nan), np.full_like(returns[1], math.nan)
+    else:
+        mean_returns = returns
+    return_difference, return_simultaneous, return_p = _difference(mean_returns, return_bounds, wide)
+    steps_difference, steps_simultaneous, steps_p = None, None, None
+    if steps is not None and time_limit is not None:
+        steps_difference, steps_simultaneous, steps_p = _difference(_tables(steps), (1.0, float(time_limit)), wide)
+    higher, higher_simultaneous = _superiority(*returns, wide)
+    success_p, crossed, counts = None, None, (0, 0, 0, 0)
+    if success is not None:
+        success = _tables(success)
+        counts = counts_of_pairs(*success)
+        if max(map(len, success)) > 1:
+            narrow = 1 - 2 * EQUIVALENCE / num_comparisons
+            crossed = difference_over_trainings(*success, (0.0, 1.0), narrow, wide)
+        success_p = crossed.p if crossed else mcnemar(*counts[1:3])
+    return Difference(
+        a=a,
+        b=b,
+        episodes=returns[0].shape[1],
+        both_won=counts[0],
+        only_a=counts[1],
+        only_b=counts[2],
+        neither=counts[3],
+        success_p=success_p,
+        return_difference=return_difference,
+        superiority=higher,
+        steps_difference=steps_difference,
+        return_p=return_p,
+        crossed=crossed,
+        steps_p=steps_p,
+        simultaneous=Simultaneous(return_simultaneous, higher_simultaneous, steps_simultaneous),
+    )
+
+
+def _tables(scores: tuple[Array, Array]) -> tuple[Array, Array]:
+    return np.atleast_2d(np.asarray(scores[0], dtype=float)), np.atleast_2d(np.asarray(scores[1], dtype=float))
+
+
+def _difference(
+    scores: tuple[Array, Array], bounds: Bounds | None, confidence: float
+) -> tuple[Estimate, Estimate, float | None]:
+    """Return a mean difference with both intervals, and its p-value: all unknown if the possible scores are."""
+    a, b = scores
+    if max(len(a), len(b)) > 1:
+        crossed = difference_over_trainings(a, b, bounds, simultaneous=confidence)
+        return crossed.estimate, crossed.simultaneous, crossed.p
+    if bounds is None:
+        unknown = Estimate(float(a.mean() - b.mean()), None, None)
+        return unknown, unknown, None
+    difference = bounded_difference(a[0] - b[0], (bounds[0] - bounds[1], bounds[1] - bounds[0]), confidence)
+    assert difference is not None
+    return difference.estimate, difference.simultaneous, difference.p
+
+
+def _superiority(a: Array, b: Array, confidence: float) -> tuple[Superiority, Estimate]:
+    """Return the superiority of a over b, and the same probability with an interval of another confidence."""
+    if max(len(a), len(b)) > 1:
+        return superiority_over_trainings(a, b, confidence)
+    simultaneous = bounded_mean((sign_of_difference(a[0], b[0]) + 1) / 2, (0.0, 1.0), confidence)
+    assert simultaneous is not None
+    return paired_superiority(a[0], b[0]), simultaneous
