@@ -10,10 +10,9 @@ import torch
 from numpy.typing import NDArray
 
 from armctl.agents import inputs
-from armctl.core.arrays import map_arrays
+from armctl.core.arrays import Observations, map_arrays
 from armctl.envs import Sees
 from armctl.rl.networks.onnx_graph import initial_memory, observation_of, write_graph
-from armctl.tasks import Observations
 
 
 class Actor(torch.nn.Module):

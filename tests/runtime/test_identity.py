@@ -10,7 +10,7 @@ import torch
 from armctl.core.errors import ResultsError
 from armctl.runtime import identity as identity_module
 from armctl.runtime.fingerprint import fingerprint
-from armctl.runtime.identity import differences
+from armctl.runtime.folder import differences
 from armctl.runtime.provenance import versions
 from armctl.study import compare
 from armctl.study.results import read_comparison

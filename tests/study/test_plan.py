@@ -5,8 +5,9 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.rollout.real_time import RealTime
 from armctl.study import compare, suite, sweep
+from armctl.study.names import FROM_UNDISTURBED
 from armctl.study.options import TaskOptions
-from armctl.study.plan import FROM_UNDISTURBED, comparison_plan, sweep_plan
+from armctl.study.plan import comparison_plan, sweep_plan
 
 REACH = "armctl/ArmReach-v0"
 

@@ -13,7 +13,8 @@ from armctl.episodes.stored import STORE
 from armctl.report.formats import FORMATS
 from armctl.study import suite
 from armctl.study.line_up import FULL, QUICK, SuiteSize, line_up, main_disturbances, unusable_agents
-from armctl.study.plan import suite_plan, task_name
+from armctl.study.names import task_name
+from armctl.study.plan import suite_plan
 from armctl.study.results import UNFINISHED, read_study
 from armctl.study.task_verdict import suite_headline
 from armctl.verdict.tables import Remark, Table

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from armctl.agents.costs import Count, Seconds, TrainingCost, TuningCost, total_cost, total_tuning
+from armctl.core.arrays import Observations
 from armctl.core.errors import AgentFileError
 from armctl.core.files import FORMAT, LARGEST_TEXT, bounded_bytes, check_format, file_checksum
 from armctl.envs import Interface
 
 if TYPE_CHECKING:
     from armctl.envs import EpisodeVectorEnv
-    from armctl.tasks import Observations
 
 FILES = (".onnx", ".json")
 """Suffixes of an agent's graph and card."""

@@ -200,7 +200,7 @@ def sweep(request: SweepRequest) -> None:
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
     task_options = request.task_options  # before the imports, so that a misspelt one is told at once
-    from armctl.rollout.real_time import SLOW_DOWN_NAME
+    from armctl.episodes.stored import SLOW_DOWN_NAME
     from armctl.study.plan import sweep_plan
 
     arguments = (request.disturbances or []) + ([f"{SLOW_DOWN_NAME}={request.slow_down}"] if request.slow_down else [])

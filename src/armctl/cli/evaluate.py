@@ -104,7 +104,7 @@ def episodes(
     from armctl.core.errors import ConfigurationError, os_errors_as
     from armctl.episodes.output import write_csv, write_parquet
     from armctl.episodes.stored import UNDISTURBED, read_store
-    from armctl.study.plan import COMPARISON
+    from armctl.study.names import COMPARISON
 
     if not (csv or parquet):
         raise ConfigurationError("say what to write: --csv, --parquet or both")

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.core.errors import ConfigurationError
 
 Array = NDArray[np.float64]
-
-
+Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
+"""Observations of n worlds, (n, ...): one array, or several by name."""
 LARGEST = float(np.finfo(float).max)
 
 

@@ -22,8 +22,9 @@ from armctl.policies import PolicyFactory, policy_name
 from armctl.runtime.provenance import versions
 from armctl.runtime.workers import WorkersFailed
 from armctl.study.comparison import Comparison
+from armctl.study.names import COMPARISON
 from armctl.study.options import StudyOptions, checked_options
-from armctl.study.plan import COMPARISON, Cell, Plan, TaskPlan, extent
+from armctl.study.plan import Cell, Plan, TaskPlan, extent
 from armctl.study.run import play
 
 

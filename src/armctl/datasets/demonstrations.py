@@ -8,13 +8,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl.core.arrays import Observations
 from armctl.envs import EpisodeVectorEnv, one_of
 from armctl.envs.observations import stacked
 from armctl.episodes.failures import unless_failed
 from armctl.episodes.record import EpisodeResult
 from armctl.policies import Policy
 from armctl.rollout.loop import rollouts
-from armctl.tasks import Observations
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.arrays import Array
+from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 
-Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
 Channel = Literal["observation", "state", "action", "physics"]
 """Target of a disturbance. Policies read observation, state, both or none; actions and physics reach all of them."""
 

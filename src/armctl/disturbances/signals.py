@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.arrays import Array
-from armctl.disturbances.disturbance import Channel, Disturbable, Disturbance, Observations
+from armctl.core.arrays import Array, Observations
+from armctl.disturbances.disturbance import Channel, Disturbable, Disturbance
 
 PUSH_INTERVAL = 1.0
 """s between two pushes, on average."""

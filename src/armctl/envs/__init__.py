@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from armctl.core.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from armctl.envs.episodes import ERROR, EpisodeVectorEnv
+    from armctl.envs.episodes import EpisodeVectorEnv
     from armctl.envs.find import RETURN_BOUNDS, check_from_file, find_spec, full_id
     from armctl.envs.interface import (
         INTERFACES,
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     )
     from armctl.envs.make import make_worlds, task_of
     from armctl.envs.observations import batch_of_one, one_of
+    from armctl.envs.outcomes import ERROR, UNSTABLE
     from armctl.envs.policy_seed import PolicyStreams, chosen_policy_seed, new_policy_seed
     from armctl.envs.sees import SEES, Sees
     from armctl.envs.single import TaskEnv
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
-    "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "EpisodeVectorEnv", "Interface", "MapInterface", "ModelInterface",
-    "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv", "batch_of_one",
-    "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "how_to_declare", "interface_of",
-    "make_worlds", "new_policy_seed", "one_of", "task_of",
+    "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "UNSTABLE", "EpisodeVectorEnv", "Interface", "MapInterface",
+    "ModelInterface", "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv",
+    "batch_of_one", "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "how_to_declare",
+    "interface_of", "make_worlds", "new_policy_seed", "one_of", "task_of",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

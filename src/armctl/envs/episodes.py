@@ -9,18 +9,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.core.arrays import Array
+from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError, InvalidAction
 from armctl.disturbances import Disturbance, begin_episodes
 from armctl.envs.observations import action_numbers
-from armctl.tasks import Observations
 
 Infos = dict[str, Any]
 RUNNING = -1
 """`outcome_id` while an episode runs: the last of `outcomes`."""
-ERROR = "error"
-"""The outcome of an episode in which the policy failed: it raised an error, or returned an invalid action. It is a loss
-(see `armctl.rollout.loop`)."""
 LARGEST_SEED = 2**62
 
 

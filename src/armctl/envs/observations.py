@@ -1,24 +1,21 @@
 """Helpers for observations and actions of n worlds, and of one of them."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.core.arrays import Array, map_arrays, object_array
+from armctl.core.arrays import Array, Observations, map_arrays, object_array
 from armctl.core.errors import InvalidAction
 
-if TYPE_CHECKING:
-    from armctl.tasks import Observations
 
-
-def one_of(observations: "Observations", world: int) -> Any:
+def one_of(observations: Observations, world: int) -> Any:
     """Return the observation of one world."""
     return map_arrays(lambda values: values[world], observations)
 
 
-def stacked(observations: Sequence[Any]) -> "Observations":
+def stacked(observations: Sequence[Any]) -> Observations:
     """Return observations of n worlds as a batch. Values without a common shape become an array of objects, (n,)."""
     first = observations[0]
     if isinstance(first, dict):
@@ -28,7 +25,7 @@ def stacked(observations: Sequence[Any]) -> "Observations":
     return object_array(observations)
 
 
-def with_replaced(observations: "Observations", ids: NDArray[np.int32], new: "Observations") -> "Observations":
+def with_replaced(observations: Observations, ids: NDArray[np.int32], new: Observations) -> Observations:
     """Return observations in which those of worlds `ids` are replaced by new ones."""
 
     def replaced(values: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
@@ -40,7 +37,7 @@ def with_replaced(observations: "Observations", ids: NDArray[np.int32], new: "Ob
     return replaced_observations
 
 
-def batch_of_one(observation: Any) -> "Observations":
+def batch_of_one(observation: Any) -> Observations:
     """Return one world's observation as a batch."""
     batch: Observations = map_arrays(lambda value: np.asarray(value)[None], observation)
     return batch

@@ -18,8 +18,9 @@ from armctl.core.options import make_options
 from armctl.core.registration import load_task
 from armctl.disturbances import disturb, episode_entropy
 from armctl.envs.environment_options import LARGEST_REWARD, NAMES, check_at_least_one, split_options
-from armctl.envs.episodes import ERROR, RUNNING, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
+from armctl.envs.outcomes import ERROR, UNSTABLE
 from armctl.envs.pickling import MadeAgain
 from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import Observations, RewardTerms, Task
@@ -29,8 +30,6 @@ TIMEOUT = 0
 """The value of every task's `TIMEOUT` outcome."""
 GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
 """Methods that goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
-UNSTABLE = "unstable"
-"""The outcome of an episode whose physics has failed (see `armctl.simulation.Simulation.unstable`)."""
 
 
 class Observer(Protocol):

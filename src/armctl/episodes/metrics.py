@@ -3,12 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from armctl.core.arrays import Array
-from armctl.tasks import MotionSample
+
+if TYPE_CHECKING:
+    from armctl.tasks import MotionSample
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def metrics(
     task: Any,
     world: int,
     start: Array,
-    motions: Sequence[MotionSample],
+    motions: "Sequence[MotionSample]",
     times: EpisodeTimes,
     solver_failures: int,
 ) -> Metrics:
@@ -105,7 +107,7 @@ def warm_times(decision_ms: Array, first_call: bool) -> Array:
 
 
 def _joint_use(
-    task: Any, world: int, motions: Sequence[MotionSample], configurations: Array
+    task: Any, world: int, motions: "Sequence[MotionSample]", configurations: Array
 ) -> tuple[float, float, float, float]:
     """Return use of range, speed and torque, and energy; NaN without a step, and if joints are not sampled."""
     if task.joints is None or not motions:

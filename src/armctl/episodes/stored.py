@@ -23,6 +23,10 @@ from armctl.runtime.provenance import Run
 STORE = "results.sqlite"
 UNDISTURBED = "none"
 """Name, or its last part, of a cell without a disturbance."""
+SLOW_DOWN_NAME = "slow-down"
+"""Name of the disturbance by a slower computer, in the names of its cells."""
+MEASURED = "measured"
+"""Latency in real time: the times that decisions take."""
 POLICY_SEED = "policy_seed"
 """Key, in a cell's identity, of the secret of its policies' random numbers, in decimal digits."""
 _RUNS = TypeAdapter(list[Run])

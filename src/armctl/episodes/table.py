@@ -10,15 +10,17 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import NoneType
-from typing import Any, get_args, get_type_hints, overload
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints, overload
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.arrays import Array
 from armctl.episodes.metrics import Metrics, warm_times
 from armctl.episodes.record import COLUMNS, EpisodeResult
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Rows = NDArray[np.intp]
 _APART = ("reward_terms", "metrics", "decision_ms", "recording")
@@ -205,8 +207,10 @@ class EpisodeTable(Sequence[EpisodeResult]):
             warm[end : (end := end + len(times))] = times
         return warm[:end]
 
-    def frame(self) -> pd.DataFrame:
+    def frame(self) -> "pd.DataFrame":
         """Return a row for each, with the columns of `episodes.csv`, as a DataFrame of `EpisodeResult.row` has them."""
+        import pandas as pd
+
         if not len(self):
             return pd.DataFrame(columns=list(COLUMNS))
         values: dict[str, Any] = {}

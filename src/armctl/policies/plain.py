@@ -9,14 +9,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from armctl.core.arrays import object_array
+from armctl.core.arrays import Observations, object_array
 from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
 from armctl.policies.declare import declared
 from armctl.policies.policy import Actions, PerWorld, Policy
 from armctl.policies.privilege import as_declared, knowledge_for
-from armctl.tasks import Observations
 
 ENV_PARAMETERS = {"env", "envs", "environment", "worlds"}
 """Names of parameters that are given what a policy may know of its environment."""

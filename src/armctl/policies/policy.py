@@ -6,9 +6,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Observations
 from armctl.core.errors import FAILURES, ArmctlError, Disqualified, described
 from armctl.envs import Sees, one_of
-from armctl.tasks import Observations
 
 Actions = NDArray[np.floating[Any]]
 

@@ -17,11 +17,10 @@ from armctl.report import style
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
 from armctl.report.suite_page import write_suite_page
-from armctl.report.videos import film, largest_difference, lowest_returns
 from armctl.runtime.provenance import with_looks
 from armctl.stats.robustness import robustness_headline, robustness_rankings
 from armctl.study.comparison import Comparison
-from armctl.study.plan import FROM_UNDISTURBED, SUITE, task_name
+from armctl.study.names import FROM_UNDISTURBED, SUITE, task_name
 from armctl.study.results import read_study
 from armctl.study.task_results import Sweep
 from armctl.verdict.sentences import Verdict
@@ -137,6 +136,8 @@ def _single(comparison: Comparison) -> str:
 
 def _videos(comparison: Comparison, progress: Callable[[str], None]) -> dict[str, Any]:
     """Return the clips, or why there are none."""
+    from armctl.report.videos import film, largest_difference, lowest_returns  # with the simulator
+
     if not comparison.counted:
         return {"no_videos": "There is no episode to show."}
     progress("filming the same episode under each policy")

@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +10,6 @@ import pandas as pd
 import plotly.graph_objects as go
 from markupsafe import Markup
 
-from armctl.core.errors import ArmctlError
-from armctl.envs import check_from_file, make_worlds
 from armctl.report import cost_figures, figures, style
 from armctl.report.colours import TERM_COLOURS
 from armctl.report.profile import profile, profile_start
@@ -59,7 +56,7 @@ def comparison_plots(comparison: Comparison, styles: style.Styles) -> dict[str, 
         for i, term in enumerate(dict.fromkeys(itertools.chain(*terms.values())))
     }
     curves, problems = training_curves([policy.policy for policy in policies], comparison.env, comparison.env_options)
-    period = None if any(policy.timing for policy in policies) else _period(comparison)
+    period = None if any(policy.timing for policy in policies) else comparison.facts.control_period
     by_success = any(policy.success for policy in policies)
     machines = Machines.of(comparison.runs, comparison.results)
     return {
@@ -232,17 +229,6 @@ def _difference(pair: Difference, p: AdjustedP) -> str:
 
 def _score(estimate: Estimate | None) -> float:
     return estimate.value if estimate else 0.0
-
-
-def _period(comparison: Comparison) -> float | None:
-    """Return the control period, s; None if the environment does not say, or cannot be made here."""
-    try:
-        check_from_file(comparison.env, comparison.env_options, "the comparison")
-        with closing(make_worlds(comparison.env, 1, comparison.env_options)) as worlds:
-            period: float | None = worlds.task.control_period
-            return period
-    except ArmctlError:
-        return None
 
 
 def percent(estimate: Estimate | None) -> str:

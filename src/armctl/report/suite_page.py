@@ -23,8 +23,7 @@ from armctl.stats.across_tasks import (
     success_profile,
 )
 from armctl.stats.intervals import Estimate
-from armctl.study.levels import setting_name
-from armctl.study.plan import task_name
+from armctl.study.names import setting_name, task_name
 from armctl.study.study import Study
 from armctl.study.task_verdict import CHOSEN, FIRST, TaskVerdict, suite_headline
 from armctl.verdict.summary import PolicySummary

@@ -8,8 +8,8 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from armctl.core.arrays import Array
 
@@ -69,7 +69,7 @@ def _placement(node: Element) -> Array:
                 step[:3, :3] = np.diag(_floats(element))
             case "rotate":
                 *axis, angle = _floats(element)
-                step[:3, :3] = Rotation.from_rotvec(
+                step[:3, :3] = scipy.spatial.transform.Rotation.from_rotvec(
                     math.radians(angle) * np.array(axis) / np.linalg.norm(axis)
                 ).as_matrix()
             case "lookat" | "skew":

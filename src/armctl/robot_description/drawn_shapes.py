@@ -3,7 +3,7 @@
 from itertools import groupby
 
 import numpy as np
-from scipy.spatial import ConvexHull
+import scipy
 
 from armctl.core.errors import ConfigurationError
 from armctl.robot_description.meshes import thinness
@@ -29,7 +29,7 @@ def _triangulated(shape: Shape) -> Shape:
     """Return a shape with the triangles of its convex hull, if it is no mesh and not too thin."""
     if len(shape.triangles) or thinness(shape.vertices):
         return shape
-    hull = ConvexHull(shape.vertices)
+    hull = scipy.spatial.ConvexHull(shape.vertices)
     corners, numbers = np.unique(hull.simplices, return_inverse=True)
     vertices, triangles = shape.vertices[corners], numbers.reshape(-1, 3).astype(np.int32)
     first, second, third = vertices[triangles].swapaxes(0, 1)

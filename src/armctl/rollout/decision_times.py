@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Observations
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import Actions, ControllersFailed, Policy
 from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run
-from armctl.tasks import Observations
 
 Errors = dict[int, BaseException]
 """Errors of a policy, by the world in which each arose."""

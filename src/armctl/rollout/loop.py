@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from gymnasium.utils.env_checker import data_equivalence
 from numpy.typing import NDArray
 
@@ -32,6 +31,9 @@ from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByIn
 from armctl.rollout.decision_times import Errors, TimedPolicy, timed_construction
 from armctl.rollout.recorder import EpisodeRecorder
 from armctl.runtime.state_guard import StateGuard
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAX_COUNTS = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
 """Larger numbers are mistakes, or a stranger's: they would fill the memory before anything is played."""
@@ -311,7 +313,7 @@ def evaluate(
     env_options: Mapping[str, Any] | None = None,
     lower_bound_steps: bool = True,
     policy_seed: int | None = None,
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Play episodes 0 to `episodes` - 1 of `seed` with one policy; return a row for each, as in `episodes.csv`.
 
     Without `lower_bound_steps`, which often take longer to compute than the episodes, they and the column

@@ -16,19 +16,17 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Observations
 from armctl.core.errors import ConfigurationError
 from armctl.core.files import digest
 from armctl.disturbances import Disturbance, DisturbanceSpec
 from armctl.envs import EpisodeVectorEnv
 from armctl.episodes.output import DECISIONS
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.stored import STORE, UNDISTURBED, read_store
+from armctl.episodes.stored import MEASURED, STORE, UNDISTURBED, read_store
 from armctl.policies import Actions, Policy
 from armctl.rollout.decision_times import Errors, TimedPolicy
-from armctl.tasks import Observations
 
-MEASURED = "measured"
-SLOW_DOWN_NAME = "slow-down"
 SLOW_DOWN = DisturbanceSpec(
     Disturbance, "a slower computer, in real time", "times the decision times; 0: the world waits",
     (0, 1, 2, 5, 10, 30), 1e4,

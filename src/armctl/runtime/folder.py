@@ -12,12 +12,24 @@ from typing import Any
 
 from armctl.core.errors import ResultsError, reason
 from armctl.core.files import bounded_text, unsealed
-from armctl.runtime.identity import differences
 
 OTHERWISE = "choose another folder, or overwrite it (--overwrite)"
 
 Reasons = Callable[[Mapping[str, Any], Mapping[str, Any]], Sequence[str]]
 """Function that returns why what a stored identity names cannot be continued with another one, in words."""
+
+
+def differences(stored: Mapping[str, Any], local: Mapping[str, Any]) -> list[str]:
+    """Return what differs between two identities, in words."""
+    texts = []
+    for name, value in local.items():
+        other = stored.get(name)
+        if isinstance(value, dict) and isinstance(other, dict):
+            keys = [key for key in {**other, **value} if other.get(key) != value.get(key)]
+            texts += [f"{name}: {key} {other.get(key)} there, {value.get(key)} here" for key in keys]
+        elif other != value:
+            texts.append(f"{name}: {other} there, {value} here")
+    return texts
 
 
 def claim(

@@ -22,6 +22,7 @@ from armctl.core.registration import import_attribute, import_named, load_instal
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
 from armctl.policies import GROUP, Policy, configured, policy_names
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
+from armctl.runtime.folder import differences
 from armctl.runtime.own_code import file_of, is_core, is_library, is_library_file, is_own
 from armctl.runtime.provenance import versions
 from armctl.runtime.state_guard import constants
@@ -84,19 +85,6 @@ def checksums(
         "files": {str(value): short_checksum(Path(value).read_bytes()) for value in _files(env_options.values())},
         "model": _checksum_of_model(worlds),
     }
-
-
-def differences(stored: Mapping[str, Any], local: Mapping[str, Any]) -> list[str]:
-    """Return what differs between two identities, in words."""
-    texts = []
-    for name, value in local.items():
-        other = stored.get(name)
-        if isinstance(value, dict) and isinstance(other, dict):
-            keys = [key for key in {**other, **value} if other.get(key) != value.get(key)]
-            texts += [f"{name}: {key} {other.get(key)} there, {value.get(key)} here" for key in keys]
-        elif other != value:
-            texts.append(f"{name}: {other} there, {value} here")
-    return texts
 
 
 def reasons_not_to_resume(stored: Mapping[str, Any], local: Mapping[str, Any]) -> list[str]:

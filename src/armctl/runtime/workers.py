@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from armctl.core.errors import FAILURES, ArmctlError, described
-from armctl.runtime.identity import checksum_of_core, differences
+from armctl.runtime.folder import differences
+from armctl.runtime.identity import checksum_of_core
 from armctl.runtime.provenance import versions
 from armctl.runtime.sending import FORMAT_NUMBER, JobBundle
 

@@ -12,9 +12,9 @@ success, 0 for a failure, NaN for an episode that does not count.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
@@ -30,6 +30,9 @@ from armctl.stats.intervals import (
 )
 from armctl.stats.paired import mcnemar, mover
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 SELECTION_STRIDE = 3
 """Distance between two episodes that select a policy, and do not count for it."""
 
@@ -43,7 +46,7 @@ class Choice:
     """True if it was chosen from several: the episodes that selected it do not count for it."""
 
 
-def choose(success: pd.DataFrame, returns: pd.DataFrame, candidates: Sequence[str]) -> Choice:
+def choose(success: "pd.DataFrame", returns: "pd.DataFrame", candidates: Sequence[str]) -> Choice:
     """Return the best of several policies in every third episode (numbers 2, 5, 8 and so on).
 
     The other episodes judge it. The best in the episodes that judge it would flatter the larger kind (the winner's
@@ -57,8 +60,10 @@ def choose(success: pd.DataFrame, returns: pd.DataFrame, candidates: Sequence[st
     return Choice(best, len(candidates) > 1)
 
 
-def values_of(table: pd.DataFrame, choice: Choice) -> "pd.Series[float]":
+def values_of(table: "pd.DataFrame", choice: Choice) -> "pd.Series[float]":
     """Return the success, or another value, of a choice by episode; NaN where it did not play, or was selected."""
+    import pandas as pd
+
     values = table[choice.policy] if choice.policy in table else pd.Series(math.nan, table.index)
     return values.mask(_selects(table.index)) if choice.of_several else values
 
@@ -131,7 +136,7 @@ class TaskPair:
 
 
 def pairwise_by_task(
-    cells: Mapping[str, pd.DataFrame], undisturbed: str, classical: Choice, learned: Choice
+    cells: "Mapping[str, pd.DataFrame]", undisturbed: str, classical: Choice, learned: Choice
 ) -> dict[str, TaskPair]:
     """Compare both choices in each setting of a task in which both have played."""
     pairs: dict[str, TaskPair] = {}
@@ -161,7 +166,7 @@ def _change(undisturbed: "pd.Series[float]", disturbed: "pd.Series[float]") -> M
     return bounded_difference(changes, (-2.0, 2.0)) if len(changes) >= FEWEST else None
 
 
-def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: Choice) -> Array:
+def improvement(cells: "Mapping[str, pd.DataFrame]", classical: Choice, learned: Choice) -> Array:
     """Return 1 for each episode of a task in which the classical choice is better, 0 for the others, 1/2 for a tie.
 
     They are means over settings; their mean is the probability of improvement. An episode is a sample with all its
@@ -171,7 +176,7 @@ def improvement(cells: Mapping[str, pd.DataFrame], classical: Choice, learned: C
     return _by_episode([0.5 + gain / 2 for gain in gains])
 
 
-def rank(cells: Mapping[str, pd.DataFrame], members: Sequence[str]) -> Array:
+def rank(cells: "Mapping[str, pd.DataFrame]", members: Sequence[str]) -> Array:
     """Return the mean rank of some policies in each episode of a task, over settings: 0 is the last, 1 the first.
 
     A rank is the share of its rivals that a policy beats, ties counting half. So ranks among few and among many rivals
@@ -188,6 +193,8 @@ def rank(cells: Mapping[str, pd.DataFrame], members: Sequence[str]) -> Array:
 
 def _by_episode(values: Sequence["pd.Series[float]"]) -> Array:
     """Return means over settings, each of which has a series by episode, for the episodes of all settings."""
+    import pandas as pd
+
     if not values:
         return np.empty(0)
     table = pd.concat(values, axis=1).dropna(axis=1, how="all")
@@ -233,12 +240,12 @@ def success_profile(cells: Sequence[Estimate], thresholds: Array) -> list[Estima
     return [Estimate(*map(float, (values >= threshold).mean(axis=0))) for threshold in thresholds]
 
 
-def cell_rates(cells: Mapping[str, pd.DataFrame], choice: Choice) -> list[Estimate]:
+def cell_rates(cells: "Mapping[str, pd.DataFrame]", choice: Choice) -> list[Estimate]:
     """Return the success rates of a choice in all settings, with Clopper and Pearson's intervals."""
     rates = [rate_of(success, choice) for success in cells.values()]
     return [rate for rate in rates if rate is not None]
 
 
-def rate_of(success: pd.DataFrame, choice: Choice) -> Estimate | None:
+def rate_of(success: "pd.DataFrame", choice: Choice) -> Estimate | None:
     """Return the success rate of a choice in one setting; None if it has not played."""
     return success_rate(values_of(success, choice).dropna().to_numpy() == 1)

@@ -3,16 +3,18 @@
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import scipy
 
 from armctl.stats.difference import MARGIN, Difference
 from armctl.stats.intervals import paired_superiority, sign_of_difference
 from armctl.stats.paired import mcnemar
 from armctl.stats.trainings import mean_over_trainings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FALSE_DISCOVERY_RATE = 0.05
 """False discovery rate of the significant drops in success of a sweep (Benjamini and Hochberg 1995)."""
@@ -57,11 +59,13 @@ class Degradation:
     """The largest drop of the tested statistic, significant or not, and its level; None if it falls nowhere."""
 
 
-def degradations(points: pd.DataFrame) -> list[Degradation]:
+def degradations(points: "pd.DataFrame") -> list[Degradation]:
     """Return the effect of each disturbance on each policy that it reaches, from the rows of `sweep.csv`.
 
     The direction of a change is that of the statistic that `p` tests (the column `change`).
     """
+    import pandas as pd
+
     points = points[~spares(points)]
     points = points.assign(neutral=~points.duplicated(["disturbance", "policy"]))
     levels = points[~points.neutral]
@@ -88,7 +92,7 @@ def degradations(points: pd.DataFrame) -> list[Degradation]:
     ]
 
 
-def spares(points: pd.DataFrame) -> "pd.Series[bool]":
+def spares(points: "pd.DataFrame") -> "pd.Series[bool]":
     """Return which rows of `sweep.csv` are of a disturbance and of a policy that it does not reach at some level."""
     spared = points.spared.astype(str) == "True"
     return spared.groupby([points.disturbance, points.policy]).transform("any")
@@ -104,7 +108,7 @@ def onsets(levels: Iterable[float], significant: Iterable[bool], holds: Iterable
     ]
 
 
-def change_between(undisturbed: pd.DataFrame, disturbed: pd.DataFrame, score: str) -> tuple[float, float]:
+def change_between(undisturbed: "pd.DataFrame", disturbed: "pd.DataFrame", score: str) -> tuple[float, float]:
     """Return the p-value for no change in the `score` of a policy, from its rows of `episodes.csv`, and the change.
 
     (1, 0) if there is nothing to compare.
@@ -188,7 +192,7 @@ class RobustnessRanking:
         return f"{'. '.join(sentences)}."
 
 
-def robustness_rankings(points: pd.DataFrame, pairs: Mapping[PairKey, Difference]) -> list[RobustnessRanking]:
+def robustness_rankings(points: "pd.DataFrame", pairs: Mapping[PairKey, Difference]) -> list[RobustnessRanking]:
     """Return the ranking under each disturbance, from the rows of `sweep.csv`.
 
     `pairs` are the tests of each two policies in the same episodes (`Sweep.pairs`). Two policies differ at a level if
@@ -222,7 +226,7 @@ def robustness_headline(rankings: Sequence[RobustnessRanking]) -> str:
     return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
 
 
-def _pairs_of(ranked: pd.DataFrame) -> list[PairKey]:
+def _pairs_of(ranked: "pd.DataFrame") -> list[PairKey]:
     """Return each two policies at each level of each disturbance; the undisturbed level, which all share, once."""
     neutral = ranked.groupby("disturbance")["level"].transform("first")
     pairs: dict[PairKey, None] = {}
@@ -239,8 +243,8 @@ def _pair(disturbance: str, level: float, neutral: float, *policies: str) -> Pai
 
 def _ranking(
     disturbance: str,
-    rows: pd.DataFrame,
-    ranked: pd.DataFrame,
+    rows: "pd.DataFrame",
+    ranked: "pd.DataFrame",
     columns: tuple[str, str, str],
     tests: Mapping[PairKey, Difference],
     significant: set[PairKey],

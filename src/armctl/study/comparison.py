@@ -3,15 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from armctl.core.registration import bare_id
+from armctl.episodes.stored import MEASURED
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
 from armctl.rollout.decision_times import Machines, load_notes, timing_notes, without_deadline_verdicts
-from armctl.rollout.real_time import MEASURED
 from armctl.runtime.provenance import Run, argument_notes, earlier_looks
 from armctl.stats.difference import Difference
 from armctl.verdict.facts import Facts
@@ -22,6 +20,9 @@ from armctl.verdict.sentences import Verdict, verdict
 from armctl.verdict.summary import PolicySummary, counted_results, summarise
 from armctl.verdict.summary_tables import details, difference_table, policy_table
 from armctl.verdict.tables import Document, Remark, Table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 NO_SUCCESS_SIGNAL = (
     "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
@@ -82,7 +83,7 @@ class Comparison(Displayed):
         return earlier_looks(self.runs) if self.policies else []
 
     @cached_property
-    def episodes(self) -> pd.DataFrame:
+    def episodes(self) -> "pd.DataFrame":
         """One row per policy and episode, with the columns of `episodes.csv`. It is made on first use."""
         return self.results.frame()
 

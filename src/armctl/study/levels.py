@@ -8,15 +8,11 @@ from typing import Any
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.disturbances import DisturbanceSpec, available
 from armctl.envs import make_worlds
-from armctl.rollout.real_time import SLOW_DOWN, SLOW_DOWN_NAME
+from armctl.episodes.stored import SLOW_DOWN_NAME
+from armctl.rollout.real_time import SLOW_DOWN
 
 Disturbances = Mapping[str, Sequence[float] | None] | Sequence[str] | None
 """Names of disturbances, or levels by name, where None means the default levels. None alone means all disturbances."""
-
-
-def setting_name(disturbance: str, level: float) -> str:
-    """Return the name, or its last part, of the cell at a level."""
-    return f"{disturbance}-{level}"
 
 
 def sweep_levels(

@@ -4,18 +4,19 @@ import json
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from armctl.core.errors import ResultsError, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.episodes.output import DECISIONS, EPISODES, EPISODES_PARQUET, write_csv
 from armctl.episodes.stored import STORE, UNDISTURBED
 from armctl.study.comparison import Comparison
-from armctl.study.plan import COMPARISON, SUITE
+from armctl.study.names import COMPARISON, SUITE
 from armctl.study.study import Study
 from armctl.study.task_results import COLUMNS
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SUMMARY, POINTS = "summary.json", "sweep.csv"
 NAMES = (SUMMARY, POINTS, EPISODES, DECISIONS, EPISODES_PARQUET)
@@ -49,8 +50,10 @@ def remove_output(folder: Path) -> None:
             (folder / name).unlink(missing_ok=True)
 
 
-def _points(study: Study) -> pd.DataFrame:
+def _points(study: Study) -> "pd.DataFrame":
     """Return the rows of `sweep.csv`; those of a suite begin with the environment."""
+    import pandas as pd
+
     tables = [swept.points for swept in study.tasks.values()]
     if study.kind == SUITE:
         tables = [table.assign(env=env)[["env", *COLUMNS]] for env, table in zip(study.tasks, tables, strict=True)]

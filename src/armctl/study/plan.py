@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from armctl.core.errors import ArmctlError, ConfigurationError, unknown_name
-from armctl.core.files import checked_name
-from armctl.core.registration import bare_id, environment_names, remember_named, short_name
+from armctl.core.registration import bare_id, environment_names, remember_named
 from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import full_id, make_worlds
-from armctl.episodes.stored import UNDISTURBED
+from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
 from armctl.policies import expanded, is_seed_group, learners, named_policies
 from armctl.rollout.loop import check_counts
 from armctl.rollout.real_time import (
-    SLOW_DOWN_NAME,
     RealTime,
     check_measurable,
     check_real_time,
@@ -26,8 +24,9 @@ from armctl.rollout.real_time import (
 )
 from armctl.runtime.engines import Engine, engine_of
 from armctl.stats.difference import MARGIN
-from armctl.study.levels import Disturbances, checked_levels, disturbance_specs, setting_name
+from armctl.study.levels import Disturbances, checked_levels, disturbance_specs
 from armctl.study.line_up import FULL, QUICK, default_policies, line_up, main_disturbances, unusable_agents
+from armctl.study.names import COMPARISON, FROM_UNDISTURBED, SUITE, SWEEP, setting_name, task_name
 from armctl.study.options import (
     ComparisonOptions,
     StudyOptions,
@@ -36,12 +35,8 @@ from armctl.study.options import (
     environment_options,
 )
 
-COMPARISON, SWEEP, SUITE = "comparison", "sweep", "suite"
-"""Kinds of studies: one cell; one task's cells; the cells of several tasks."""
 ALL = "all"
 """Name for all environments of all installed packages."""
-FROM_UNDISTURBED = "the undisturbed comparison"
-"""Source of a sweep's decision times, unless a folder has them."""
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
 
 
@@ -243,11 +238,3 @@ def _task_plan(
                 changed = replace(undisturbed, env_options=options | {"disturbances": constant | {name: level}})
             cells.append(replace(changed, name=prefix + setting_name(name, level)))
     return TaskPlan(env, cells, levels, {name: specs[name].unit for name in levels}, source)
-
-
-def task_name(env: str) -> str:
-    """Return the first part of the names of a task's cells in a suite, which is also its page's name.
-
-    Raises `ConfigurationError` for an id that no file should be called by.
-    """
-    return checked_name("task", short_name(env).replace("/", "_"))

@@ -12,8 +12,8 @@ from armctl.core.options import option_value
 from armctl.envs import ERROR
 from armctl.episodes.stored import STORE, UNDISTURBED, StoredCell, StoredStudy, read_store
 from armctl.study.comparison import Comparison, concluded
-from armctl.study.plan import SUITE
-from armctl.study.study import Study, cell_name
+from armctl.study.names import SUITE, cell_name
+from armctl.study.study import Study
 from armctl.study.task_results import Sweep
 from armctl.verdict.facts import Facts
 

@@ -13,9 +13,10 @@ from armctl.episodes.stored import stored_policy_seed
 from armctl.policies import learners
 from armctl.rollout.real_time import recorded_times
 from armctl.study.cell import Recorder, Session, Task, play_cell
+from armctl.study.names import COMPARISON, SUITE
 from armctl.study.options import StudyOptions
 from armctl.study.output import check_output, remove_output, write_output
-from armctl.study.plan import COMPARISON, SUITE, Cell, Plan, TaskPlan
+from armctl.study.plan import Cell, Plan, TaskPlan
 from armctl.study.study import Study
 from armctl.study.task_results import Sweep
 

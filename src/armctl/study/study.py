@@ -2,7 +2,7 @@
 
 import functools
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
@@ -11,12 +11,15 @@ from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
 from armctl.stats.across_tasks import League, leagues, rank
 from armctl.study.comparison import Comparison
-from armctl.study.plan import COMPARISON, SUITE, SWEEP, Plan, task_name
+from armctl.study.names import COMPARISON, SUITE, SWEEP, cell_name
 from armctl.study.suite_tables import rank_table, task_table
 from armctl.study.task_results import Sweep
 from armctl.study.task_verdict import TaskVerdict, holm_corrected, suite_headline, task_verdict
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.tables import Document, Remark, Table
+
+if TYPE_CHECKING:
+    from armctl.study.plan import Plan
 
 
 @dataclass(repr=False)
@@ -39,7 +42,7 @@ class Study(Displayed):
     interrupted: bool
 
     @classmethod
-    def of(cls, plan: Plan) -> "Study":
+    def of(cls, plan: "Plan") -> "Study":
         """Return a study without any episode."""
         tasks = {
             task.env: Sweep(task.env, plan.seed, task.levels, task.units, task.recorded, {}, {}, False)
@@ -121,8 +124,3 @@ class Study(Displayed):
 
     def __repr__(self) -> str:
         return f"<Study of {', '.join(map(bare_id, self.tasks)) or 'no task'}, seed {self.seed}>"
-
-
-def cell_name(kind: str, env: str, setting: str) -> str:
-    """Return the name of a cell. Raise `ConfigurationError` for an id that no file should be called by."""
-    return f"{task_name(env)}/{setting}" if kind == SUITE else setting

@@ -5,22 +5,24 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import pandas as pd
 from pydantic import InstanceOf
 
-from armctl.episodes.stored import UNDISTURBED
-from armctl.rollout.real_time import SLOW_DOWN_NAME
+from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
 from armctl.stats.difference import Difference
 from armctl.stats.intervals import Estimate
 from armctl.stats.robustness import NEUTRAL, PairKey, change_between
 from armctl.study.comparison import Comparison
-from armctl.study.levels import setting_name
+from armctl.study.names import setting_name
 from armctl.verdict.facts import Finite
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.summary_tables import sweep_parts
 from armctl.verdict.tables import Document, Remark
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COLUMNS = (
     "disturbance", "level", "policy", "episodes", "success", "low", "high", "return", "return_low", "return_high",
@@ -79,8 +81,10 @@ class Sweep(Displayed):
         return {setting_name(name, level): (name, level) for name, at in self.levels.items() for level in at[1:]}
 
     @cached_property
-    def points(self) -> pd.DataFrame:
+    def points(self) -> "pd.DataFrame":
         """The rows of `sweep.csv`; worked out once, when all is played."""
+        import pandas as pd
+
         undisturbed = self.undisturbed
         if undisturbed is None:
             return pd.DataFrame(columns=list(COLUMNS))
@@ -130,7 +134,9 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
     return estimate.value, *estimate.bounds
 
 
-def _change(undisturbed_rows: pd.DataFrame, disturbed_rows: pd.DataFrame, policy: PolicySummary) -> tuple[float, float]:
+def _change(
+    undisturbed_rows: "pd.DataFrame", disturbed_rows: "pd.DataFrame", policy: PolicySummary
+) -> tuple[float, float]:
     """Return the p-value for no change in the same episodes, and the change: see `COLUMNS`."""
     if policy.spared:
         return math.nan, math.nan

@@ -4,9 +4,9 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from armctl.core.registration import bare_id, short_name
 from armctl.episodes.stored import UNDISTURBED
@@ -21,6 +21,9 @@ from armctl.study.comparison import Comparison
 from armctl.study.task_results import Sweep
 from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.tables import p_value, points, size
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FIRST = "The first expert and the first agent of each task's line-up, which no result selected."
 """Policies of a quick suite, as tables and pages state them."""
@@ -38,7 +41,7 @@ class TaskVerdict:
     env: str
     policies: Sequence[PolicySummary]
     """Undisturbed; empty if no episode was finished."""
-    cells: dict[str, pd.DataFrame]
+    cells: "dict[str, pd.DataFrame]"
     """Success by setting, as `armctl.stats.across_tasks` takes it; empty if success is unknown."""
     labels: dict[str, str]
     """Names of settings as printed: `noise 0.02`."""
@@ -68,7 +71,7 @@ class TaskVerdict:
         return [choice.policy for choice in (self.classical, self.learned) if choice]
 
     @property
-    def shared_cells(self) -> dict[str, pd.DataFrame]:
+    def shared_cells(self) -> "dict[str, pd.DataFrame]":
         """Cells of the settings that reach both of these."""
         contenders = set(self.contenders)
         return {name: table for name, table in self.cells.items() if contenders.isdisjoint(self.spared.get(name, ()))}
@@ -288,7 +291,7 @@ def _claim(verdict: TaskVerdict) -> tuple[str, str]:
     return "undecided", f"up to {math.ceil(1000 * largest) / 10:g} points apart after {pair.episodes} episodes"
 
 
-def success_table(comparison: Comparison) -> pd.DataFrame | None:
+def success_table(comparison: Comparison) -> "pd.DataFrame | None":
     """Return success by episode and policy; None if it is unknown. The episodes are those of `counted_results`.
 
     Policies that the disturbance does not reach are left out.

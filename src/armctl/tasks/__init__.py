@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from armctl.core.lazy import on_first_use
 
 if TYPE_CHECKING:
+    from armctl.core.arrays import Observations
     from armctl.tasks.bridge import (
         BridgeMovingOptions,
         BridgeMovingTask,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
         GoalDistance,
         LearnerView,
         MotionSample,
-        Observations,
         OneTimeTerm,
         Outcome,
         Potential,

@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.arrays import Array
+from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import options
 from armctl.disturbances import GENERIC, DisturbanceSpec
@@ -23,8 +23,6 @@ Ids = NDArray[np.int32]
 """Indices of worlds."""
 RewardTerms = dict[str, Array]
 """Named reward terms, (n,) each; the reward is their sum."""
-Observations = NDArray[np.float32] | dict[str, NDArray[Any]]
-"""Observations of n worlds, (n, ...): one array, or several by name."""
 
 
 class Outcome(IntEnum):

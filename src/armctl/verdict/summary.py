@@ -5,15 +5,13 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.agents.costs import TrainingCost, mean_cost
-from armctl.envs import ERROR, SEES
-from armctl.envs.vector import UNSTABLE
+from armctl.envs import ERROR, SEES, UNSTABLE
 from armctl.episodes.table import EpisodeTable
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
 from armctl.runtime.provenance import Run
@@ -23,6 +21,9 @@ from armctl.stats.trainings import mean_over_trainings
 from armctl.verdict.facts import Facts
 from armctl.verdict.scores import Limits, by_learner, pairs_of, scores_of
 from armctl.verdict.tables import milliseconds
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 METRICS = (
     "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
@@ -231,7 +232,7 @@ def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int
     return counted, len(infeasible)
 
 
-def counted_rows(results: EpisodeTable) -> pd.DataFrame:
+def counted_rows(results: EpisodeTable) -> "pd.DataFrame":
     """Return the rows of `episodes.csv` of the results that count.
 
     The return of an episode in which the policy failed is -inf: less than any other.

@@ -3,8 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from armctl.agents.costs import TrainingCost
 from armctl.runtime.provenance import with_looks
@@ -23,6 +22,9 @@ from armctl.stats.robustness import (
 from armctl.stats.trainings import FEWEST_TRAININGS
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table, milliseconds, p_value, percent, plain
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 DISQUALIFIED, SPARED = "disqualified", "spared"
 FEW_UNDETECTED = 0.02
@@ -191,7 +193,7 @@ def _if_normal(pairs: Sequence[Difference]) -> str:
 
 
 def sweep_parts(
-    points: pd.DataFrame, pairs: Mapping[PairKey, Difference], looks: Sequence[int] = ()
+    points: "pd.DataFrame", pairs: Mapping[PairKey, Difference], looks: Sequence[int] = ()
 ) -> list[Table | Remark]:
     """Return a table for each disturbance, of all policies at all levels, and from which level each gets worse.
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.text import Text
 
+from armctl.core.arrays import Observations
 from armctl.core.console import PlainConsole
 from armctl.core.errors import ConfigurationError
 from armctl.envs import EpisodeVectorEnv
 from armctl.envs.observations import one_of
-from armctl.tasks import Observations
 from armctl.viewer.recording import Film, check_video, recording
 from armctl.viewer.stage import Stage
 

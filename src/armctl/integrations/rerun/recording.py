@@ -14,11 +14,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Observations
 from armctl.core.errors import missing_extra, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.datasets.pictures import bounds_of, is_image
 from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv
-from armctl.tasks import Observations
 from armctl.viewer.recording import check_writable
 from armctl.viewer.terminal import LogOpener
 

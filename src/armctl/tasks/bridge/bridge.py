@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.arrays import Array
+from armctl.core.arrays import Array, Observations
 from armctl.disturbances import ROVER
 from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS
 from armctl.scene import BridgeMap, PedestrianTrajectories
@@ -38,7 +38,6 @@ from armctl.tasks.task import (
     Ids,
     LearnerView,
     MotionSample,
-    Observations,
     Outcome,
     Potential,
     RewardTerms,

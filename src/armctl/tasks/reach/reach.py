@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.core.arrays import Array
+from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM
 from armctl.kernels.control_step import TargetQuery, distances_as_observed
@@ -38,7 +38,6 @@ from armctl.tasks.task import (
     Ids,
     LearnerView,
     MotionSample,
-    Observations,
     Outcome,
     Potential,
     RewardTerms,
