@@ -1,9 +1,7 @@
 """Comparisons on clusters that are really there: of Ray with two nodes, and of Dask with two workers."""
 
 import contextlib
-import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -30,6 +28,7 @@ from armctl.tuning.trials import measure
 
 from ..stores import timeless
 from ..training.test_run import RECIPE
+from .servers import servers
 
 pytestmark = pytest.mark.slow
 BIN = Path(sys.executable).parent
@@ -51,37 +50,6 @@ def mine(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "helpers_of_mine.py").write_text("def still(observation):\n    return observation[3:9]\n")
     monkeypatch.chdir(tmp_path)
-
-
-class Processes:
-    """Servers that end with the test, each with all its children."""
-
-    def __init__(self, folder):
-        self.folder, self.started = folder, []
-
-    def start(self, *command, environment=None):
-        with (self.folder / f"log{len(self.started)}").open("w") as log:
-            one = subprocess.Popen(
-                [*map(str, command)], stdout=log, stderr=log, stdin=subprocess.DEVNULL, start_new_session=True,
-                cwd=self.folder, env=os.environ | (environment or {}),
-            )  # fmt: skip
-        self.started.append(one)
-        return one
-
-    def kill(self, one):
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(one.pid, signal.SIGKILL)
-        one.wait()
-
-
-@contextlib.contextmanager
-def servers(folder):
-    started = Processes(folder)
-    try:
-        yield started
-    finally:
-        for one in reversed(started.started):
-            started.kill(one)
 
 
 @pytest.fixture
