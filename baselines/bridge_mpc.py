@@ -34,7 +34,7 @@ REPLAN_DISTANCE = 1.0
 
 
 @made_for("armctl/BridgeCross*", controls="rover")
-@sees("state", family="MPC")
+@sees("state", family="MPC", foresight="pedestrians")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""
     return BridgePolicy("bridge_mpc", env, functools.partial(BridgeMpc, options=options))

@@ -31,7 +31,7 @@ REPLAN_DISTANCE = 0.4
 
 
 @made_for("armctl/BridgeCross*", controls="rover")
-@sees("state", family="OMPL")
+@sees("state", family="OMPL", foresight="pedestrians")
 def make(env: TaskVectorEnv) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""
     return BridgePolicy("bridge_ompl", env, BridgeOmpl)

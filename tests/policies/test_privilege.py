@@ -8,7 +8,7 @@ import pytest
 
 import armctl
 from armctl.core.errors import ConfigurationError
-from armctl.envs import INTERFACES, SEES, make_worlds
+from armctl.envs import INTERFACES, SEES, make_worlds, privilege_in_words
 from armctl.policies import PerWorld, make_policy, policy_names, privileges
 from armctl.policies.names import declared_sees
 
@@ -215,7 +215,8 @@ def test_installed_policies_declare_what_they_see():
 
 def test_privileges_are_named_where_they_differ():
     assert privileges({"a": "observation", "b": "observation"}) == ""
-    assert privileges({"a": "model", "b": "observation", "c": "pixels"}) == (
+    by_name = {"a": privilege_in_words("model"), "b": "observation", "c": privilege_in_words("pixels")}
+    assert privileges(by_name) == (
         "Their privileges differ: a (observation + robot model), b (observation), c (pixels)."
     )
     comparison = armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, env_options={"max_episode_steps": 3})

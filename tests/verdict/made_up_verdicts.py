@@ -26,7 +26,8 @@ def summary_of(name, won):
     known = {
         "policy": name, "sees": "observation" if name in TRAINED else "model", "training": cost_of(name),
         "planned": len(won), "episodes": len(won),
-        "spared": (), "outcomes": {}, "success": success_rate(won), "decision_ms_p50": 0.25, "decision_ms_p99": 0.5,
+        "spared": (), "foresight": (), "outcomes": {},
+        "success": success_rate(won), "decision_ms_p50": 0.25, "decision_ms_p99": 0.5,
         "worlds": 1, "workers": 1,
     }  # fmt: skip
     return PolicySummary(**values | known)

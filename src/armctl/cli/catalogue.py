@@ -14,6 +14,7 @@ from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import gymnasium
+    from gymnasium.envs.registration import EnvSpec
     from rich.console import RenderableType
     from rich.table import Table
     from rich.text import Text
@@ -73,7 +74,7 @@ def _everything() -> Iterable["RenderableType"]:
             yield _pair(env, f"cannot be loaded: {error}")
             continue
         yield _pair(env, values.get("instruction", ""))
-        yield _policy_table(policies_of(spec, policies), values.get("default_policies", ()))
+        yield _policy_table(spec, policies_of(spec, policies), values.get("default_policies", ()))
         if names := [recipe.name for recipe in recipes if recipe.env == env]:
             yield _grid_of([("  recipes", ", ".join(names))])
         yield ""
@@ -88,16 +89,18 @@ def _everything() -> Iterable["RenderableType"]:
     )
 
 
-def _policy_table(policies: "Sequence[ListedPolicy]", line_up: Sequence[str]) -> "Table":
+def _policy_table(spec: "EnvSpec", policies: "Sequence[ListedPolicy]", line_up: Sequence[str]) -> "Table":
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
+
+    from armctl.policies.catalogue import privilege_in
 
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False, pad_edge=False)
     for heading in ("  policy", "kind", "sees", "controls"):
         table.add_column(heading)
     for policy in policies:
         mark = "*" if policy.name in line_up else " "
-        table.add_row(f"{mark} {policy.name}", policy.kind, policy.sees, policy.controls)
+        table.add_row(f"{mark} {policy.name}", policy.kind, privilege_in(spec, policy), policy.controls)
     return table
 
 

@@ -15,14 +15,13 @@ if TYPE_CHECKING:
         Interface,
         MapInterface,
         ModelInterface,
-        how_to_declare,
         interface_of,
     )
     from armctl.envs.make import make_worlds, task_of
     from armctl.envs.observations import batch_of_one, one_of
     from armctl.envs.outcomes import ERROR, UNSTABLE
     from armctl.envs.policy_seed import PolicyStreams, chosen_policy_seed, new_policy_seed
-    from armctl.envs.sees import SEES, Sees
+    from armctl.envs.sees import SEES, Sees, privilege_in_words
     from armctl.envs.single import TaskEnv
     from armctl.envs.third_party import ThirdPartyVectorEnv, episode_seed
     from armctl.envs.vector import Observer, TaskVectorEnv
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "UNSTABLE", "EpisodeVectorEnv", "Interface", "MapInterface",
     "ModelInterface", "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv",
-    "batch_of_one", "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "how_to_declare",
-    "interface_of", "make_worlds", "new_policy_seed", "one_of", "task_of",
+    "batch_of_one", "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "interface_of",
+    "make_worlds", "new_policy_seed", "one_of", "privilege_in_words", "task_of",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

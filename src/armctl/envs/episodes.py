@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError, InvalidAction
+from armctl.core.foresight import check_declared
 from armctl.disturbances import Disturbance, begin_episodes
 from armctl.envs.observations import action_numbers
 
@@ -99,6 +100,23 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     @abstractmethod
     def render(self) -> Any:
         """Return images (height, width, 3) of all worlds, as a tuple."""
+
+    @property
+    def foresight(self) -> tuple[str, ...]:
+        """What can be foreseen here: keys of `FORESIGHT`."""
+        return (*self.task.foresight, *(("disturbance",) if self.disturbances else ()))
+
+    def preview(self, name: str, world: int = 0) -> Any:
+        """Return what a policy with this foresight knows of a world's current episode; None if nothing is foreseen.
+
+        For a `disturbance`, that is the level of each by name, and else what `Task.preview` tells. Raises
+        `ConfigurationError` while a policy acts that has not declared it.
+        """
+        if self.task.granted is not None:
+            check_declared(name, "state", self.task.granted)
+        if name == "disturbance":
+            return {name: float(disturbance.levels[world]) for name, disturbance in self.disturbances.items()}
+        return self.task.preview(name, world) if name in self.task.foresight else None
 
     @property
     def control_period(self) -> float | None:

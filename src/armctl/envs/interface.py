@@ -18,6 +18,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, nearest
+from armctl.core.foresight import check_declared, how_to_declare
 from armctl.envs.policy_seed import PolicyStreams
 from armctl.envs.sees import SEES, Sees
 
@@ -31,6 +32,7 @@ class CurrentEpisode:
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
         self.map: Any = None
+        self.previews: dict[str, Any] = {}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +57,8 @@ class Interface:
     """True if actions are from -1 to 1, and not in the task's units."""
     of_one_world: bool = False
     """True if the policy acts in one world, without a batch axis."""
+    foresight: tuple[str, ...] = ()
+    """What the policy declares to foresee: keys of `FORESIGHT`."""
     _episodes: Sequence[CurrentEpisode] = ()
 
     @functools.cached_property
@@ -75,12 +79,20 @@ class Interface:
         """
         return self._episodes[world].rng
 
+    def preview(self, name: str, world: int = 0) -> Any:
+        """Return what a policy with this foresight knows of a world's current episode, by `EpisodeVectorEnv.preview`.
+
+        It is None in an environment that does not tell it. Raises `ConfigurationError` if it was not declared.
+        """
+        check_declared(name, self.sees, self.foresight)
+        return self._episodes[world].previews.get(name)
+
     def in_world(self, world: int) -> "Interface":
         """Return the interface of a policy that acts in one of the worlds."""
         return dataclasses.replace(self, num_envs=1, of_one_world=True, _episodes=(self._episodes[world],))
 
-    def limited_to(self, sees: str, name: str) -> "Interface":
-        """Return what this policy may tell another one, called `name`, which declares what it `sees`.
+    def limited_to(self, sees: str, foresight: tuple[str, ...], name: str) -> "Interface":
+        """Return what this policy may tell another one, called `name`, which declares what it `sees` and foresees.
 
         Raises `ConfigurationError` if that is more than this one knows itself.
         """
@@ -89,8 +101,11 @@ class Interface:
                 f"{name} sees the {SEES[sees]}, and a policy that is made of it has to declare that too: "
                 f"{how_to_declare(sees)}"
             )
+        for more in foresight:
+            check_declared(more, self.sees, self.foresight)
         kind = INTERFACES[sees]
-        return kind(**{field.name: getattr(self, field.name) for field in dataclasses.fields(kind)})
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(kind)}
+        return kind(**fields | {"foresight": foresight})
 
     def __getattr__(self, name: str) -> Any:
         """Raise an AttributeError that says which declaration gives a missing attribute."""
@@ -134,15 +149,12 @@ INTERFACES: Mapping[str, type[Interface]] = {"observation": Interface, "model": 
 """Interfaces by privilege. The state has none: such a policy gets the environment itself."""
 
 
-def how_to_declare(sees: str) -> str:
-    """Return how a policy says what it sees."""
-    return f'put @armctl.sees("{sees}") above its function or class, and every table will say it'
+def interface_of(
+    worlds: "EpisodeVectorEnv", sees: str, streams: PolicyStreams, foresight: tuple[str, ...] = ()
+) -> Interface:
+    """Return what a policy with this privilege and foresight is told about these worlds.
 
-
-def interface_of(worlds: "EpisodeVectorEnv", sees: str, streams: PolicyStreams) -> Interface:
-    """Return what a policy with this privilege is told about these worlds. `sees` is a key of `INTERFACES`.
-
-    Its random numbers come from `streams`.
+    `sees` is a key of `INTERFACES`. The policy's random numbers come from `streams`.
     """
     kind, task = INTERFACES[sees], worlds.task
     episodes = [CurrentEpisode(streams.generator(i)) for i in range(worlds.num_envs)]
@@ -154,6 +166,7 @@ def interface_of(worlds: "EpisodeVectorEnv", sees: str, streams: PolicyStreams) 
             episodes[i].rng.bit_generator.state = streams.generator(int(seeds[i]), int(numbers[i])).bit_generator.state
             if issubclass(kind, MapInterface):
                 episodes[i].map = task.static_map(int(i))
+            episodes[i].previews = {name: worlds.preview(name, int(i)) for name in foresight}
 
     begin(np.flatnonzero(worlds.episodes >= 0))
     worlds.on_begin.append(begin)
@@ -171,6 +184,7 @@ def interface_of(worlds: "EpisodeVectorEnv", sees: str, streams: PolicyStreams) 
         interface=MappingProxyType(dict(task.interface)),
         idle_action=np.array(worlds.idle_action) if boxed else None,
         normalized=worlds.normalized,
+        foresight=foresight,
         _episodes=episodes,
         **more,
     )

@@ -1,7 +1,9 @@
 """Privileges: what a policy may see of its environment."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
+
+from armctl.core.foresight import FORESIGHT
 
 Sees = Literal["observation", "model", "map", "state"]
 SEES: Mapping[str, str] = {
@@ -12,3 +14,8 @@ SEES: Mapping[str, str] = {
 }
 """Privileges that a policy can declare, from the least to the most, and their text in tables.
 Each includes those before it."""
+
+
+def privilege_in_words(sees: str, foresight: Sequence[str] = ()) -> str:
+    """Return what a policy sees and foresees, as tables write it; of an unknown privilege, its name."""
+    return " + ".join([SEES.get(sees, sees), *(FORESIGHT.get(name, name) for name in foresight)])

@@ -12,6 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from armctl.agents import read_card
 from armctl.core.declarations import declaration
 from armctl.core.errors import FAILURES, AgentFileError
+from armctl.core.foresight import FORESIGHT
 from armctl.core.registration import installed, load_task
 from armctl.envs.find import is_task
 from armctl.policies.names import GROUP, agent_cards, declared_sees, describe_policy, policy_names
@@ -29,6 +30,7 @@ class ListedPolicy:
     kind: str
     """`expert`, `hybrid`, `baseline`, or `agent` with the kind of its learning."""
     sees: str = "unknown"
+    foresight: tuple[str, ...] = ()
     controls: str = "unknown"
     """Robots, and how they are commanded."""
     envs: str = "*"
@@ -49,7 +51,7 @@ def _agent(name: str, path: Path) -> ListedPolicy:
     privilege = "camera" if "camera" in card.interface else SHORT[declared_sees(name)]
     controls = ": ".join(card.interface[key] for key in ("robot", "control") if key in card.interface)
     kind = f"agent, {card.family or card.learner}"
-    return ListedPolicy(name, describe_policy(name), kind, privilege, controls, card.env)
+    return ListedPolicy(name, describe_policy(name), kind, privilege, (), controls, card.env)
 
 
 def _expert(name: str) -> ListedPolicy:
@@ -58,10 +60,18 @@ def _expert(name: str) -> ListedPolicy:
         with contextlib.suppress(*FAILURES):
             return ListedPolicy(name, describe_policy(name), "expert", SHORT[declared_sees(name)])
         return ListedPolicy(name, "cannot be loaded", "expert")
-    (privilege,), _ = declared.decorators.get("sees", ([declared.values.get("sees", "observation")], {}))
+    (privilege,), more = declared.decorators.get("sees", ([declared.values.get("sees", "observation")], {}))
+    foresight = more.get("foresight", declared.values.get("foresight", ()))
+    foresight = (foresight,) if isinstance(foresight, str) else tuple(foresight)
     (envs,), made_for = declared.decorators.get("made_for", (["*"], {}))
     kind, controls = "baseline" if envs == "*" else made_for.get("kind", "expert"), made_for.get("controls", "any")
-    return ListedPolicy(name, declared.summary, kind, SHORT.get(privilege, privilege), controls, envs)
+    return ListedPolicy(name, declared.summary, kind, SHORT.get(privilege, privilege), foresight, controls, envs)
+
+
+def privilege_in(spec: EnvSpec, policy: ListedPolicy) -> str:
+    """Return what a policy sees, and foresees of what changes by itself in an environment."""
+    foresight = (name for name in policy.foresight if name in task_values(spec).get("foresight", ()))
+    return " + ".join([policy.sees, *(FORESIGHT[name] for name in foresight)])
 
 
 def policies_of(spec: EnvSpec, policies: Sequence[ListedPolicy]) -> list[ListedPolicy]:

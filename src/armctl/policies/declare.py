@@ -5,15 +5,20 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from armctl.core.errors import unknown_name
+from armctl.core.foresight import FORESIGHT, Foresight, check_known
 from armctl.envs.sees import SEES, Sees
 
 Factory = TypeVar("Factory")
 
 
-def sees(privilege: Sees, *, family: str | None = None) -> Callable[[Factory], Factory]:
+def sees(
+    privilege: Sees, *, family: str | None = None, foresight: Foresight | tuple[Foresight, ...] = ()
+) -> Callable[[Factory], Factory]:
     """Declare what a policy sees: a decorator of the function or class that makes it, or of a plain policy.
 
     `family` is the kind of method, such as `MPC`, by which a suite ranks policies of several tasks together.
+    `foresight` is what the policy knows besides: the `target`'s future, the `pedestrians`' future, or the level of a
+    `disturbance`. It gets that by `env.preview(name, world)`.
 
     - `observation`: only what the environment gives to every policy; this is the default;
     - `model`: the robot's description and the task's options as well;
@@ -23,9 +28,12 @@ def sees(privilege: Sees, *, family: str | None = None) -> Callable[[Factory], F
     Raises `ConfigurationError` for anything else.
     """
     check_sees(privilege)
+    names = _checked_foresight(foresight)
 
     def declare(factory: Factory) -> Factory:
         factory.sees = privilege  # type: ignore[attr-defined]
+        if names:
+            factory.foresight = names  # type: ignore[attr-defined]
         if family is not None:
             factory.family = family  # type: ignore[attr-defined]
         return factory
@@ -61,6 +69,19 @@ def declared(source: Any) -> str:
         return "observation"
     check_sees(privilege)
     return str(privilege)
+
+
+def declared_foresight(source: Any) -> tuple[str, ...]:
+    """Return what a policy, or its maker, declares to foresee: keys of `FORESIGHT`. Raises `ConfigurationError`."""
+    foresight = getattr(unwrapped(source), "foresight", ())
+    return () if isinstance(foresight, property) else _checked_foresight(foresight)
+
+
+def _checked_foresight(foresight: Any) -> tuple[str, ...]:
+    names = (foresight,) if isinstance(foresight, str) else tuple(foresight)
+    for name in names:
+        check_known(name)
+    return tuple(name for name in FORESIGHT if name in names)
 
 
 def unwrapped(source: Any) -> Any:

@@ -13,7 +13,6 @@ from armctl.core.arrays import Observations, object_array
 from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
-from armctl.policies.declare import declared
 from armctl.policies.policy import Actions, PerWorld, Policy
 from armctl.policies.privilege import as_declared, knowledge_for
 
@@ -29,9 +28,7 @@ def adapted(source: Any, worlds: Worlds, name: str, streams: PolicyStreams) -> P
 
     Raises `ConfigurationError`.
     """
-    privilege = declared(source)
-    knowledge = knowledge_for(privilege, worlds, name, streams)
-    policy: Policy = as_declared(_adapted(source, knowledge, name), privilege, name, source)
+    policy: Policy = as_declared(_adapted(source, knowledge_for(source, worlds, name, streams), name), name, source)
     return policy
 
 

@@ -4,40 +4,49 @@ from collections.abc import Mapping
 from typing import Any
 
 from armctl.core.errors import ConfigurationError, defined_at, unknown_name
-from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, how_to_declare, interface_of
-from armctl.policies.declare import declared, unwrapped
+from armctl.core.foresight import check_declared, how_to_declare
+from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, interface_of
+from armctl.policies.declare import declared, declared_foresight, unwrapped
 
 PERCEIVED = ("observation", "state")
 """Through which of a disturbance's channels policies perceive their worlds."""
 
 
 def knowledge_for(
-    privilege: str, env: EpisodeVectorEnv | Interface, name: str, streams: PolicyStreams
+    source: Any, env: EpisodeVectorEnv | Interface, name: str, streams: PolicyStreams
 ) -> EpisodeVectorEnv | Interface:
-    """Return what a policy called `name` gets of an environment: an interface, or all of it with privilege `state`.
+    """Return what the policy of this `source`, called `name`, gets of an environment.
+
+    That is an interface, or all of the environment for a policy that declares to see the state.
 
     Its random numbers are those of `streams`, or of the policy that makes it.
 
     Raises `ConfigurationError` if it is made by another policy, in whose interface there is less.
     """
+    privilege, foresight = declared(source), declared_foresight(source)
     if isinstance(env, Interface):
-        return env.limited_to(privilege, name)
-    return env if privilege == "state" else interface_of(env, privilege, streams)
+        return env.limited_to(privilege, foresight, name)
+    return env if privilege == "state" else interface_of(env, privilege, streams, foresight)
 
 
-def as_declared(policy: Any, privilege: str, name: str, source: Any) -> Any:
-    """Return a policy that was made with a declared privilege, and says so itself, and its family if one was declared.
+def as_declared(policy: Any, name: str, source: Any) -> Any:
+    """Return a policy that was made of a source, and says itself what that declares.
 
-    Raises `ConfigurationError` if it says that it sees more.
+    Raises `ConfigurationError` if it says that it sees or foresees more.
     """
+    privilege, foresight = declared(source), declared_foresight(source)
     declaration = declared(policy)
     if list(SEES).index(declaration) > list(SEES).index(privilege):
         raise ConfigurationError(
             f"{name} made a policy that sees the {SEES[declaration]}, which has to be declared before it is made: "
             f"{how_to_declare(declaration)}{defined_at(source)}"
         )
+    for more in declared_foresight(policy):
+        check_declared(more, privilege, foresight)
     if declaration != privilege:
         policy.sees = privilege
+    if foresight:
+        policy.foresight = foresight
     if (family := getattr(unwrapped(source), "family", None)) is not None:
         policy.family = family
     return policy
@@ -57,8 +66,8 @@ def channels_read(policy: Any) -> tuple[str, ...]:
 
 
 def privileges(by_name: Mapping[str, str]) -> str:
-    """Return a sentence about what policies see, from keys of `SEES` by name; empty if they all see the same."""
+    """Return a sentence about privileges, from `privilege_in_words` by policy; empty if they are all the same."""
     if len(set(by_name.values())) < 2:
         return ""
-    parts = (f"{name} ({SEES.get(privilege, privilege)})" for name, privilege in by_name.items())
+    parts = (f"{name} ({privilege})" for name, privilege in by_name.items())
     return f"Their privileges differ: {', '.join(parts)}."

@@ -95,7 +95,7 @@ class _Player:
         self, timed: TimedPolicy, env: EpisodeVectorEnv, recorder: EpisodeRecorder, seed: int, name: str
     ) -> None:
         self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
-        self._guard = StateGuard(env, timed.policy.sees == "state")
+        self._guard = StateGuard(env, timed.policy.sees == "state", getattr(timed.policy, "foresight", ()))
         self._numbers = np.zeros(env.num_envs, dtype=np.int64)
         """(n,) the episode of each world."""
         self._playing = np.zeros(env.num_envs, dtype=bool)

@@ -37,12 +37,13 @@ class StateGuard:
     """Watches the worlds of an environment while a policy is made, and while it decides.
 
     `has_access` tells whether the policy is given the environment itself, None until it is made. armctl's own
-    environments are watched in any case.
+    environments are watched in any case. Meanwhile, the environment tells of the future what the policy's `foresight`
+    includes.
     """
 
-    def __init__(self, env: Any, has_access: bool | None = None) -> None:
+    def __init__(self, env: Any, has_access: bool | None = None, foresight: tuple[str, ...] = ()) -> None:
         self._worlds: EpisodeVectorEnv = env.unwrapped
-        self.has_access = has_access
+        self.has_access, self._foresight = has_access, foresight
         self._slots: list[_Slot] = []
 
     @contextmanager
@@ -52,6 +53,15 @@ class StateGuard:
         The values to compare are looked up when an episode begins. Changed values are put back, so that the next
         policies play the same task; the current episodes are lost.
         """
+        self._worlds.task.granted = self._foresight
+        try:
+            with self._compared(new_episode):
+                yield
+        finally:
+            self._worlds.task.granted = None
+
+    @contextmanager
+    def _compared(self, new_episode: bool) -> Iterator[None]:
         is_foreign = isinstance(self._worlds, ThirdPartyVectorEnv)
         if is_foreign and self.has_access is False:
             yield

@@ -205,6 +205,7 @@ class _Line:
                     events.construction_ms[name],
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
+                    tuple(name for name in getattr(policy, "foresight", ()) if name in env.foresight),
                 )
                 for name, policy in self.policies.items()
             },

@@ -168,7 +168,7 @@ class TaskVerdict:
         contenders = [by_name[name] for name in self.contenders]
         parts = [words for policy in contenders for words in policy.effort]
         parts.append(f"median decision time: {_times(contenders)}")
-        sees = privileges({policy.policy: policy.sees for policy in contenders})
+        sees = privileges({policy.policy: policy.privilege for policy in contenders})
         return " ".join(filter(None, ("; ".join(parts) + ".", sees)))
 
     @property

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         BridgeState,
         BridgeTask,
     )
+    from armctl.tasks.learner_view import FeatureSpec, LearnerView
     from armctl.tasks.reach import (
         OBSERVATION,
         REWARD,
@@ -30,9 +31,7 @@ if TYPE_CHECKING:
     )
     from armctl.tasks.task import (
         EachStep,
-        FeatureSpec,
         GoalDistance,
-        LearnerView,
         MotionSample,
         OneTimeTerm,
         Outcome,

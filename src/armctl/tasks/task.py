@@ -4,7 +4,7 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Self
 
@@ -18,6 +18,7 @@ from armctl.core.options import options
 from armctl.disturbances import GENERIC, DisturbanceSpec
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
+from armctl.tasks.learner_view import LearnerView
 
 Ids = NDArray[np.int32]
 """Indices of worlds."""
@@ -55,37 +56,6 @@ class MotionSample:
     """(n,) whether the robot had a forbidden contact; None if unknown."""
     joints: Array | None = None
     """(2, samples, n, joints) speeds (rad/s) and torques (N m) of joints or wheels since the last control step."""
-
-
-@dataclass(frozen=True)
-class FeatureSpec:
-    """A feature extractor for networks: a name from `rl/networks/features.py` or `module:Class`, and its options."""
-
-    name: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-    prepare: str | None = None
-    """A name from `rl/networks/features.py` or `module:Class`, of a network module that is made with the observation
-    space and `prepare_options`. It maps observations (n, ...) to smaller ones: an array, or several by name. The
-    features are of these, and so are buffers and the memory of agents."""
-    prepare_options: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class LearnerView:
-    """Features and relative actions for learners, as plain values from which they build networks."""
-
-    relative_to: slice | None = None
-    """The part of the observation that actions may be relative to, if any."""
-    largest_move: float = 0.0
-    """Bound on each component of a relative action."""
-    features: FeatureSpec | None = None
-    """None: the bare observation."""
-    invariant_features: FeatureSpec | None = None
-    """Features that are invariant under the task's symmetries, if it has any."""
-    model_features: FeatureSpec | None = None
-    """Features that know the robot's geometry, if there are any: an agent with them sees the robot's model."""
-    state_features: FeatureSpec | None = None
-    """Function of the state for a privileged critic, without `prepare`; None: its numbers as shares of their bounds."""
 
 
 class Potential(ABC):
@@ -150,6 +120,10 @@ class TaskFacts(ABC):
     """Options that say how a policy sees and commands the robot. A learned agent brings its own."""
     instruction: ClassVar[str] = ""
     """Instruction for the robot, as a sentence for models that take language; empty: unknown."""
+    foresight: tuple[str, ...] = ()
+    """What changes by itself in an episode, so that policies may foresee it: `target`, `pedestrians`."""
+    granted: tuple[str, ...] | None = None
+    """Foresight of the policy that acts at present; None while none does."""
     n: int
 
     @property
@@ -169,6 +143,13 @@ class TaskFacts(ABC):
 
     def static_map(self, world: int) -> Any:
         """Return a copy of what stands still around the robot in the current episode, for policies that see the map."""
+        return None
+
+    def preview(self, name: str, world: int) -> Any:
+        """Return the future of one of `foresight` in the current episode, for policies that declare to foresee it.
+
+        It has `positions(times)`, times in s since the episode's start, and is a copy.
+        """
         return None
 
     @abstractmethod

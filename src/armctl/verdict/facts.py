@@ -29,6 +29,8 @@ class PolicyFacts:
     """The disturbances that do not reach it."""
     family: str | None = None
     """Kind of method, such as `MPC`; None: it declares none."""
+    foresight: tuple[str, ...] = ()
+    """What it foresees here: keys of `FORESIGHT`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -211,7 +211,7 @@ def _timing(pair: Pair) -> str:
 
 
 def _privileges(pair: Pair) -> str:
-    return privileges({policy.policy: policy.sees for policy in (pair.first, pair.second)})
+    return privileges({policy.policy: policy.privilege for policy in (pair.first, pair.second)})
 
 
 def _scope(pairs: Sequence[Pair]) -> str:

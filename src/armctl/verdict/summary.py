@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.agents.costs import TrainingCost, mean_cost
-from armctl.envs import ERROR, SEES, UNSTABLE
+from armctl.envs import ERROR, UNSTABLE, privilege_in_words
 from armctl.episodes.table import EpisodeTable
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
 from armctl.runtime.provenance import Run
@@ -133,9 +133,10 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     """Mean of these with Student's interval, which holds if trainings vary normally; nothing is concluded from it.
 
     None if the score has no bounds."""
-
     family: str = ""
     """Kind of method that the policy declares, such as `MPC`; of another, its name."""
+    foresight: tuple[str, ...] = ()
+    """What the policy foresees, such as the `pedestrians`' future."""
 
     @property
     def learned(self) -> bool:
@@ -165,9 +166,14 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
         return setting_in_words(self.worlds, self.workers)
 
     @property
+    def privilege(self) -> str:
+        """What it sees and foresees, in words."""
+        return privilege_in_words(self.sees, self.foresight)
+
+    @property
     def knowledge(self) -> tuple[str, str]:
         """Privilege, as tables write it: on two lines, of which the second may be empty."""
-        first, plus, more = SEES.get(self.sees, self.sees).partition(" + ")
+        first, plus, more = self.privilege.partition(" + ")
         return first, plus.lstrip() + more
 
     @property
@@ -207,6 +213,7 @@ def summarise(
             outcomes=dict(Counter(together.column("outcome").tolist()).most_common()),
             spared=members[0].spared,
             family=members[0].family or name,
+            foresight=members[0].foresight,
             **vars(_performance(together, scored, limits)),
             **vars(_decision_times(comparable_times(together, machines), construction_ms)),
         )

@@ -18,7 +18,7 @@ from armctl.rl.run.training import Training
 from armctl.rl.run.vector import EncodedVectorEnv
 from armctl.shaping import Shaped
 from armctl.tasks import BridgeTask, ReachTask
-from armctl.tasks.task import FeatureSpec, LearnerView
+from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.training.learners import load_recipe
 
 PREPARATION = f"{Path(__file__).parents[1] / 'preparations.py'}:NearestInColumns"

@@ -3,6 +3,7 @@
 To change the reward, see `REWARD` and `BridgeOptions`.
 """
 
+import copy
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array, Observations
+from armctl.core.foresight import check_declared
 from armctl.disturbances import ROVER
 from armctl.robots.rover import MAX_VELOCITY, PARTS, PREFIX, RADIUS, SPEED_LIMITS, WHEEL_RADIUS
 from armctl.scene import BridgeMap, PedestrianTrajectories
@@ -33,10 +35,9 @@ from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo, CrossingTimeToGo
 from armctl.tasks.bridge.state import BridgeState
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world, free_half_width
+from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.task import (
-    FeatureSpec,
     Ids,
-    LearnerView,
     MotionSample,
     Outcome,
     Potential,
@@ -77,6 +78,7 @@ class BridgeTask(Task):
 
     def __init__(self, n: int, options: BridgeOptions, threads: int = 0) -> None:
         self.options = options
+        self.foresight = ("pedestrians",) if options.walkers else ()
         memory = round(CONTROL_PERIOD / options.timestep)
         model = build_bridge_world(
             options.deck_length, options.deck_width, options.blocks, options.walkers, options.timestep, memory,
@@ -166,12 +168,21 @@ class BridgeTask(Task):
         return LEARNER_VELOCITY[0], LEARNER_VELOCITY[1]
 
     def map(self, world: int) -> BridgeMap:
-        """Return the map of a world's bridge, which is privileged knowledge."""
+        """Return the map of a world's bridge, which is privileged knowledge, with the pedestrians' whole trajectories.
+
+        Raises `ConfigurationError` while a policy acts that does not declare to foresee these.
+        """
+        if self.granted is not None and self.foresight:
+            check_declared("pedestrians", "state", self.granted)
         return self._layouts[world].map
+
+    def preview(self, name: str, world: int) -> PedestrianTrajectories:
+        """Return a copy of the trajectories of a world's pedestrians."""
+        return copy.deepcopy(self._layouts[world].map.pedestrians)
 
     def static_map(self, world: int) -> BridgeMap:
         """Return a copy of the map, without pedestrians."""
-        whole = self.map(world)
+        whole = self._layouts[world].map
         return BridgeMap(whole.length, whole.half_width, whole.blocks.copy())
 
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
@@ -231,7 +242,7 @@ class BridgeTask(Task):
 
     def perceived(self, numbers: NDArray[np.float32]) -> PerceivedBridges:
         """Return what policies that see the state read instead of this task, if its state has these numbers."""
-        return PerceivedBridges(numbers, self.state, [layout.map for layout in self._layouts], self.goal_x)
+        return PerceivedBridges(numbers, self.state, self.map, self.goal_x)
 
     def reward_terms(self) -> RewardTerms:
         """Return the terms of `BridgeOptions.reward`."""
@@ -331,4 +342,5 @@ class BridgeMovingTask(BridgeTask):
 
     options_type: ClassVar[type[Any]] = BridgeMovingOptions
     instruction = "Drive across the bridge to the goal line, and avoid the barriers and the pedestrians."
+    foresight = ("pedestrians",)
     default_policies = ("bridge_ompl", "bridge_mpc", "bridge_moving_imagined", "bridge_moving_distil", "random")

@@ -1,6 +1,6 @@
 """n bridges as policies that see the state believe them to be, where a disturbance acts on the state."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +18,8 @@ class PerceivedBridges:
     numbers: NDArray[np.float32]
     """(n, k) of `full_state`, with the disturbance."""
     truth: BridgeState
-    maps: Sequence[BridgeMap]
-    """The true ones."""
+    true_map: Callable[[int], BridgeMap]
+    """Function that returns a world's true one."""
     goal_x: float
 
     def state_observation(self) -> NDArray[np.float32]:
@@ -35,10 +35,9 @@ class PerceivedBridges:
 
     def map(self, world: int) -> BridgeMap:
         """Return the map with the blocks of the numbers, and each pedestrian's line moved to fit the numbers."""
-        true, (_, *numbers) = (
-            self.maps[world],
-            np.split(self.numbers[world].astype(float), [ROVER, self._people_from(world)]),
-        )
+        true = self.true_map(world)
+        people_from = ROVER + BLOCK * len(true.blocks)
+        _, *numbers = np.split(self.numbers[world].astype(float), [ROVER, people_from])
         blocks, people = numbers[0].reshape(-1, BLOCK), numbers[1].reshape(-1, WALKER)[:, :2]
         blocks = np.column_stack((blocks[:, :3], np.maximum(blocks[:, 3:], 0.0)))
         walkers = true.pedestrians
@@ -46,6 +45,3 @@ class PerceivedBridges:
         return replace(
             true, blocks=blocks, pedestrians=replace(walkers, start=walkers.start + off, end=walkers.end + off)
         )
-
-    def _people_from(self, world: int) -> int:
-        return ROVER + BLOCK * len(self.maps[world].blocks)

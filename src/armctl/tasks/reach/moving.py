@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
@@ -49,6 +49,25 @@ MOVING_REWARD: Mapping[str, Term] = {
 """The terms of the reward, whose sum is the reward."""
 
 
+@dataclass(frozen=True, eq=False)
+class TargetTrajectory:
+    """A target's curve: a sum of sines in each axis."""
+
+    centre: Array
+    """(3,) m"""
+    amplitudes: Array
+    """(3, WAVES) m"""
+    rates: Array
+    """(3, WAVES) rad/s"""
+    phases: Array
+    """(3, WAVES) rad"""
+
+    def positions(self, times: ArrayLike) -> Array:
+        """Return positions (..., 3) m at times (...) s since the episode's start."""
+        angles = self.rates * np.asarray(times, dtype=float)[..., None, None] + self.phases
+        return np.asarray(self.centre + (self.amplitudes * np.sin(angles)).sum(axis=-1))
+
+
 @dataclass(frozen=True)
 class MovingReachState(ReachState):
     """The state, and how well the target is tracked."""
@@ -87,6 +106,7 @@ class ReachMovingTask(ReachTask):
     default_policies = ("reach_mpc", "reach_ik", "moving_dagger", "moving_ppo", "random")
     instruction = "Move the end-effector to the moving target."
     stops_at_target = False
+    foresight = ("target",)
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         **ReachTask.potentials,
         "ik": MinimumTimeToMovingTarget,
@@ -100,6 +120,11 @@ class ReachMovingTask(ReachTask):
         self._errors, self._steps = np.zeros(n), np.zeros(n)
         super().__init__(n, options, threads)
         self._target_query = self._target_query._replace(targets=np.zeros((TICKS, n, 3)))
+
+    def preview(self, name: str, world: int) -> TargetTrajectory:
+        """Return a copy of the curve of a world's target."""
+        curve = (self._centres, self._amplitudes, self._rates, self._phases)
+        return TargetTrajectory(*(values[world].copy() for values in curve))
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
@@ -147,9 +172,8 @@ class ReachMovingTask(ReachTask):
         )
 
     def _within_reach(self, world: int, centre: Array) -> bool:
-        angles = self._rates[world] * PROBES[:, None, None] + self._phases[world]
-        points = centre + (self._amplitudes[world] * np.sin(angles)).sum(axis=-1)
-        model, clearance = self._workspace.model, self.options.tolerance
+        curve = TargetTrajectory(centre, self._amplitudes[world], self._rates[world], self._phases[world])
+        points, model, clearance = curve.positions(PROBES), self._workspace.model, self.options.tolerance
         return all(
             point[2] >= clearance and model.base_distance(point) >= clearance and self._workspace.reachable(point)
             for point in points

@@ -23,6 +23,7 @@ from armctl.robot_description import ArmDescription
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
 from armctl.scene import BOX_NUMBERS, Boxes
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
+from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.reach.layout_pool import LayoutPool, pool_for
 from armctl.tasks.reach.observation import (
     FEATURES,
@@ -38,7 +39,7 @@ from armctl.tasks.reach.options import ReachOptions, Terms
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, STEP_REWARD, ReachState, Term
-from armctl.tasks.task import FeatureSpec, Ids, LearnerView, OneTimeTerm, Potential
+from armctl.tasks.task import Ids, OneTimeTerm, Potential
 
 TOUCHED = ("floor", "obstacle", "itself")
 """Names of what the arm can touch."""

@@ -22,6 +22,7 @@ from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.control_step import NO_PARTS
 from armctl.simulation.impacts import DEPTH
+from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.reach.observation import (
     HIDDEN,
     LENGTH_MARGIN,
@@ -34,9 +35,7 @@ from armctl.tasks.reach.options import ReachOptions
 from armctl.tasks.reach.potentials import MinimumTime, MpcCost
 from armctl.tasks.reach.state import STEP_REWARD, ReachState, Term
 from armctl.tasks.task import (
-    FeatureSpec,
     Ids,
-    LearnerView,
     MotionSample,
     Outcome,
     Potential,
