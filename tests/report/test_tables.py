@@ -53,10 +53,12 @@ def summary_of(policy, success):
 
 def pair_of(a, b, p):
     gain, chance = Estimate(188.25, 187.1, 189.2), Superiority(Estimate(0.975, 0.955, 0.99), 1e-59)
-    won = (0, 0) if p is None else (197, 0)
+    only_a = 0 if p is None else 197
     steps = p and Estimate(-2.7, -3.9, -1.5)
     at_once = Simultaneous(gain, chance.probability, steps)
-    return Difference(a, b, 200, 0, *won, 3, p, gain, chance, steps, at_once)
+    return Difference(
+        a, b, (200, 200), gain, chance, steps, at_once, success_p=p, wins=(only_a, 0), only_a=only_a, neither=3
+    )
 
 
 def comparison_of(names, success=SUCCESS, p=3.8e-59):

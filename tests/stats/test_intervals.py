@@ -1,4 +1,3 @@
-import itertools
 import math
 
 import numpy as np
@@ -16,9 +15,9 @@ from armctl.stats.intervals import (
     performance_profile,
     performance_ratios,
     success_rate,
-    superiority,
     worst_decile,
 )
+from armctl.stats.trainings import superiority_over_trainings
 
 
 @pytest.mark.parametrize(
@@ -116,42 +115,6 @@ def test_limits_of_a_median_are_the_innermost_order_statistics_that_hold(n):
     assert median(np.arange(5.0)) == Estimate(2.0, None, None)
 
 
-def test_mann_whitney_against_conover():
-    # Conover (1999), example 5.1.1: fitness of farm and town boys; ranks of the former add up to 321, p = 0.52.
-    farm = np.array([14.8, 7.3, 5.6, 6.3, 9.0, 4.2, 10.6, 12.5, 12.9, 16.1, 11.4, 2.7])
-    town = [12.7, 14.2, 12.6, 2.1, 17.7, 11.8, 16.9, 7.9, 16.0, 10.6, 5.6, 5.6, 7.6, 11.3, 8.3, 6.7, 3.6, 1.0]
-    town += [2.4, 6.4, 9.1, 6.7, 18.6, 3.2, 6.2, 6.1, 15.3, 10.6, 1.8, 5.9, 9.9, 10.6, 14.8, 5.0, 2.6, 4.0]
-    found = superiority(farm, np.array(town))
-    assert found.probability.value == 243 / (12 * 36)
-    assert found.p == pytest.approx(0.52, abs=0.01)
-    assert found.probability.low < 0.5 < found.probability.high
-
-
-SCORES = st.lists(st.integers(-3, 3), min_size=1, max_size=8)
-
-
-@settings(max_examples=30)
-@given(SCORES, SCORES)
-def test_superiority_counts_pairs(a, b):
-    a, b = np.array(a, dtype=float), np.array(b, dtype=float)
-    wins = (np.sign(a[:, None] - b) + 1) / 2
-    assert superiority(a, b).probability.value == pytest.approx(wins.mean())
-    assert superiority(b, a).probability.value == pytest.approx(1 - wins.mean())
-    assert superiority(a, b).p == superiority(b, a).p == pytest.approx(mann_whitney(a, b, wins.sum()))
-
-
-def mann_whitney(a, b, wins):
-    """The two-sided p-value, after Conover (1999), section 5.1."""
-    both, expected = np.concatenate((a, b)), len(a) * len(b) / 2
-    n, (_, ties) = len(both), np.unique(both, return_counts=True)
-    if max(ties) == 1:  # exact: each choice of ranks for a is as likely
-        ranks = [sum(chosen) - len(a) * (len(a) + 1) / 2 for chosen in itertools.combinations(range(1, n + 1), len(a))]
-        return min(1.0, 2 * np.mean([rank - expected >= abs(wins - expected) for rank in ranks]))
-    spread = math.sqrt(len(a) * len(b) / 12 * (n + 1 - (ties**3 - ties).sum() / (n * (n - 1))))
-    away = abs(wins - expected) - 0.5
-    return 1.0 if spread == 0 else min(1.0, 2 * stats.norm.sf(away / spread))
-
-
 def test_pairs_tell_more_than_their_parts():
     hardness = np.linspace(0, 100, 40)
     a, b = hardness + 1.0, hardness.copy()
@@ -160,7 +123,7 @@ def test_pairs_tell_more_than_their_parts():
     assert paired.probability.value == 36 / 40
     assert paired.probability.low > 0.75
     assert paired.p == pytest.approx(2 * sum(math.comb(40, k) for k in range(5)) / 2**40)
-    assert superiority(a, b).p > 0.5
+    assert superiority_over_trainings(a[None], b[None], paired=False)[0].p > 0.5
 
 
 def test_a_tie_counts_half_and_certainty_has_an_interval():
@@ -169,7 +132,6 @@ def test_a_tie_counts_half_and_certainty_has_an_interval():
     always = paired_superiority(np.ones(20), np.zeros(20)).probability
     assert (always.value, always.high) == (1, 1)
     assert always.low == pytest.approx(success_rate(np.ones(20, dtype=bool)).low, abs=0.01)
-    assert superiority(np.ones(20), np.ones(20)).p == 1
 
 
 def test_performance_profile_is_the_share_above():

@@ -20,7 +20,7 @@ LIKE = paired_difference("a", "b", (np.ones(1), np.ones(1)), (np.ones(1), np.one
 def pair_of(p, lead, a="a", b="b"):
     """Two policies whose success differs by `lead`, with this p-value."""
     only_a, only_b = (round(100 * max(0.0, of_either)) for of_either in (lead, -lead))
-    return replace(LIKE, a=a, b=b, episodes=100, only_a=only_a, only_b=only_b, success_p=p)
+    return replace(LIKE, a=a, b=b, sample_sizes=(100, 100), only_a=only_a, only_b=only_b, success_p=p)
 
 
 def points(wins, levels=(0.0, 1.0, 2.0), episodes=N, spared=()):
@@ -101,7 +101,7 @@ def test_no_significant_difference_is_not_equivalence(won, equivalent):
     many = points({"noise": {"a": (won, won), "b": (won, won)}}, levels=(0.0, 1.0), episodes=1000)
     lost = (1000 - won) // 2
     tests = {
-        (*where, frozenset("ab")): replace(pair_of(1.0, 0.0), episodes=1000, only_a=lost, only_b=lost)
+        (*where, frozenset("ab")): replace(pair_of(1.0, 0.0), sample_sizes=(1000, 1000), only_a=lost, only_b=lost)
         for where in (NEUTRAL, ("noise", 1.0))
     }
     (noise,) = robustness_rankings(many, tests)
@@ -116,11 +116,15 @@ def alike(episodes, names=("noise",), policies="ab"):
     table = points({name: dict.fromkeys(policies, (1, 1)) for name in names}, levels=(0.0, 1.0), episodes=1)
     pairs = [frozenset(two) for two in itertools.combinations(policies, 2)]
     wheres = [NEUTRAL, *((name, 1.0) for name in names)]
-    return table, {(*where, two): replace(pair_of(1.0, 0.0), episodes=episodes) for where in wheres for two in pairs}
+    return table, {
+        (*where, two): replace(pair_of(1.0, 0.0), sample_sizes=(episodes, episodes))
+        for where in wheres
+        for two in pairs
+    }
 
 
 def test_equivalence_under_several_disturbances_is_corrected_for_their_number():
-    assert replace(pair_of(1.0, 0.0), episodes=160).equivalent(0.02)
+    assert replace(pair_of(1.0, 0.0), sample_sizes=(160, 160)).equivalent(0.02)
     assert [one.equivalent for one in robustness_rankings(*alike(160))] == [True]
     several = [f"noise {i}" for i in range(7)]
     assert not any(one.equivalent for one in robustness_rankings(*alike(160, several)))
@@ -136,7 +140,7 @@ def test_equivalence_needs_the_tests_of_all_pairs_at_all_levels():
 
 def test_it_is_not_undecided_where_any_two_policies_differ():
     table, tests = alike(100, policies="abc")
-    tests["noise", 1.0, frozenset("bc")] = replace(pair_of(1e-6, 0.3, "b", "c"), episodes=100)
+    tests["noise", 1.0, frozenset("bc")] = replace(pair_of(1e-6, 0.3, "b", "c"), sample_sizes=(100, 100))
     claim = robustness_rankings(table, tests)[0].claim
     assert claim.startswith("highest mean success: ")
     assert "undecided" not in claim

@@ -77,8 +77,8 @@ def counted(won):
     never = Estimate(0.0, None, None)
     return [
         Difference(
-            a, b, len(won[a]), 0, int((won[a] & ~won[b]).sum()), int((won[b] & ~won[a]).sum()), 0, 1.0, never,
-            Superiority(never, 1.0), None, Simultaneous(never, never, None),
+            a, b, (len(won[a]), len(won[b])), never, Superiority(never, 1.0), None, Simultaneous(never, never, None),
+            success_p=1.0, only_a=int((won[a] & ~won[b]).sum()), only_b=int((won[b] & ~won[a]).sum()),
         )
         for a, b in itertools.combinations(won, 2)
     ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +13,13 @@ from armctl.stats.intervals import (
     Superiority,
     bounded_difference,
     bounded_mean,
+    bounded_sum,
     paired_superiority,
     sign_of_difference,
 )
 from armctl.stats.paired import counts_of_pairs, mcnemar, mover
 from armctl.stats.trainings import CrossedDifference, difference_over_trainings, superiority_over_trainings
+from armctl.stats.unpaired import newcombe, unconditional
 
 EQUIVALENCE = 0.05
 """Level of each of the two tests that show equivalence."""
@@ -45,15 +48,8 @@ class Difference:
 
     a: str
     b: str
-    episodes: int
-    both_won: int
-    only_a: int
-    only_b: int
-    neither: int
-    success_p: float | None
-    """Exact two-sided p-value for equal success: McNemar's (1947) of pairs, or that of `crossed`; None if unknown.
-
-    Counts are 0 then. Those of several trainings are means over these."""
+    sample_sizes: tuple[int, int]
+    """Numbers of episodes of a and of b."""
     return_difference: Estimate
     """Mean of return a - return b; its interval is unknown where the possible returns are."""
     superiority: Superiority
@@ -61,14 +57,29 @@ class Difference:
     steps_difference: Estimate | None
     """Mean of steps to the goal of a - those of b, a failure counting as the time limit; None without a limit."""
     simultaneous: Simultaneous
+    paired: bool = True
+    """True if both played the same episodes."""
+    success_p: float | None = None
+    """Exact two-sided p-value for equal success: McNemar's (1947), or without pairs that of `unconditional`; of several
+    trainings, that of `crossed`. None if success is unknown."""
+    wins: tuple[int, int] = (0, 0)
+    """Numbers of episodes that a and that b won. Counts of several trainings are means over these."""
+    both_won: int = 0
+    """Number of pairs that both won; this and the next three are 0 without pairs, or if success is unknown."""
+    only_a: int = 0
+    only_b: int = 0
+    neither: int = 0
     return_p: float | None = None
     """Two-sided p-value for equal returns in the mean; None where the possible returns are unknown."""
     steps_p: float | None = None
     """Two-sided p-value for equal steps to the goal in the mean; None without `steps_difference`."""
     crossed: CrossedDifference | None = None
     """Difference in success, if a or b is several trainings and success is known."""
-    paired: bool = True
-    """True if both played the same episodes."""
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes of either policy, the smaller one."""
+        return min(self.sample_sizes)
 
     @property
     def success_difference(self) -> Estimate | None:
@@ -84,7 +95,12 @@ class Difference:
             return self.crossed.estimate if num_comparisons == 1 else self.crossed.simultaneous
         if self.success_p is None:
             return None
-        return mover(self.only_a, self.only_b, self.episodes, 1 - UNCERTAINTY / num_comparisons)
+        return self._difference_in_success(1 - UNCERTAINTY / num_comparisons)
+
+    def _difference_in_success(self, confidence: float) -> Estimate:
+        if self.paired:
+            return mover(self.only_a, self.only_b, self.episodes, confidence)
+        return newcombe(self.wins[0], self.sample_sizes[0], self.wins[1], self.sample_sizes[1], confidence)
 
     @property
     def p(self) -> float:
@@ -109,14 +125,14 @@ class Difference:
         if self.success_p is None:
             return False
         level = 1 - 2 * EQUIVALENCE / num_comparisons
-        difference = self.crossed.ci90 if self.crossed else mover(self.only_a, self.only_b, self.episodes, level)
-        return within(difference, margin)
+        return within(self.crossed.ci90 if self.crossed else self._difference_in_success(level), margin)
 
     def reversed(self) -> "Difference":
         """Return policy b against policy a, by the same tests."""
         wide, higher = self.simultaneous, self.superiority
         return replace(
-            self, a=self.b, b=self.a, only_a=self.only_b, only_b=self.only_a,
+            self, a=self.b, b=self.a, sample_sizes=self.sample_sizes[::-1], wins=self.wins[::-1],
+            only_a=self.only_b, only_b=self.only_a,
             return_difference=-self.return_difference,
             steps_difference=None if self.steps_difference is None else -self.steps_difference,
             superiority=replace(higher, probability=higher.probability.complement),
@@ -149,75 +165,115 @@ def paired_difference(
     time_limit: int | None = None,
     num_comparisons: int = 1,
 ) -> Difference:
-    """Compare two policies, or learners of several trainings each.
+    """Compare two policies, or learners of several trainings each, on the same episodes.
 
     Scores are arrays (episodes,) or (trainings, episodes), whose columns are the same episodes; there is at least one.
     `success` is None if it is unknown, `steps` are the restricted steps to the goal. `return_bounds` are those of each
     policy's return, None if they are unknown. The simultaneous intervals, and equivalence of several trainings, hold
     for `num_comparisons` pairs.
     """
+    scores = success, returns, steps
+    return _difference_between((a, b), scores, (return_bounds, time_limit), num_comparisons, paired=True)
+
+
+def unpaired_difference(
+    a: str,
+    b: str,
+    success: tuple[Array, Array] | None,
+    returns: tuple[Array, Array],
+    steps: tuple[Array, Array] | None,
+    return_bounds: Bounds | None,
+    time_limit: int | None = None,
+    num_comparisons: int = 1,
+) -> Difference:
+    """Compare two policies, or learners of several trainings each, on different episodes, of any number each.
+
+    Arguments are those of `paired_difference`, but columns of both sides are different episodes.
+    """
+    scores = success, returns, steps
+    return _difference_between((a, b), scores, (return_bounds, time_limit), num_comparisons, paired=False)
+
+
+_Scores = tuple[Array, Array]
+
+
+def _difference_between(
+    names: tuple[str, str],
+    scores: tuple[_Scores | None, _Scores, _Scores | None],
+    limits: tuple[Bounds | None, int | None],
+    num_comparisons: int,
+    paired: bool,
+) -> Difference:
     wide = 1 - UNCERTAINTY / num_comparisons
+    (success, returns, steps), (return_bounds, time_limit) = scores, limits
     returns = _tables(returns)
-    if not all(np.isfinite(scores).all() for scores in returns):  # a policy failed, at an unknown cost
+    mean_returns = returns
+    if not all(np.isfinite(sample).all() for sample in returns):  # a policy failed, at an unknown cost
         mean_returns = np.full_like(returns[0], math.nan), np.full_like(returns[1], math.nan)
-    else:
-        mean_returns = returns
-    return_difference, return_simultaneous, return_p = _difference(mean_returns, return_bounds, wide)
+    return_difference, return_simultaneous, return_p = _mean_difference(mean_returns, return_bounds, wide, paired)
     steps_difference, steps_simultaneous, steps_p = None, None, None
     if steps is not None and time_limit is not None:
-        steps_difference, steps_simultaneous, steps_p = _difference(_tables(steps), (1.0, float(time_limit)), wide)
-    higher, higher_simultaneous = _superiority(*returns, wide)
-    success_p, crossed, counts = None, None, (0, 0, 0, 0)
-    if success is not None:
-        success = _tables(success)
-        counts = counts_of_pairs(*success)
-        if max(map(len, success)) > 1:
-            narrow = 1 - 2 * EQUIVALENCE / num_comparisons
-            crossed = difference_over_trainings(*success, (0.0, 1.0), narrow, wide)
-        success_p = crossed.p if crossed else mcnemar(*counts[1:3])
+        bounds = 1.0, float(time_limit)
+        steps_difference, steps_simultaneous, steps_p = _mean_difference(_tables(steps), bounds, wide, paired)
+    higher, higher_simultaneous = _superiority(*returns, wide, paired)
     return Difference(
-        a=a,
-        b=b,
-        episodes=returns[0].shape[1],
-        both_won=counts[0],
-        only_a=counts[1],
-        only_b=counts[2],
-        neither=counts[3],
-        success_p=success_p,
+        a=names[0],
+        b=names[1],
+        sample_sizes=(returns[0].shape[1], returns[1].shape[1]),
         return_difference=return_difference,
         superiority=higher,
         steps_difference=steps_difference,
         return_p=return_p,
-        crossed=crossed,
         steps_p=steps_p,
         simultaneous=Simultaneous(return_simultaneous, higher_simultaneous, steps_simultaneous),
+        paired=paired,
+        **({} if success is None else _success(_tables(success), num_comparisons, paired)),
     )
 
 
-def _tables(scores: tuple[Array, Array]) -> tuple[Array, Array]:
+def _tables(scores: _Scores) -> _Scores:
     return np.atleast_2d(np.asarray(scores[0], dtype=float)), np.atleast_2d(np.asarray(scores[1], dtype=float))
 
 
-def _difference(
-    scores: tuple[Array, Array], bounds: Bounds | None, confidence: float
+def _success(success: _Scores, num_comparisons: int, paired: bool) -> dict[str, Any]:
+    """Return the fields of `Difference` that are about success."""
+    result: dict[str, Any] = {}
+    if max(map(len, success)) > 1:
+        narrow, wide = 1 - 2 * EQUIVALENCE / num_comparisons, 1 - UNCERTAINTY / num_comparisons
+        result["crossed"] = difference_over_trainings(*success, (0.0, 1.0), narrow, wide, paired)
+    if paired:
+        counts = counts_of_pairs(*success)
+        result |= dict(zip(("both_won", "only_a", "only_b", "neither"), counts, strict=True))
+        wins, p = (counts[0] + counts[1], counts[0] + counts[2]), mcnemar(*counts[1:3])
+    else:
+        first, second = (round(float(won.mean()) * won.shape[1]) for won in success)
+        wins, p = (first, second), unconditional(first, success[0].shape[1], second, success[1].shape[1])
+    return result | {"wins": wins, "success_p": result["crossed"].p if "crossed" in result else p}
+
+
+def _mean_difference(
+    scores: _Scores, bounds: Bounds | None, confidence: float, paired: bool
 ) -> tuple[Estimate, Estimate, float | None]:
     """Return a mean difference with both intervals, and its p-value: all unknown if the possible scores are."""
     a, b = scores
     if max(len(a), len(b)) > 1:
-        crossed = difference_over_trainings(a, b, bounds, simultaneous=confidence)
+        crossed = difference_over_trainings(a, b, bounds, simultaneous=confidence, paired=paired)
         return crossed.estimate, crossed.simultaneous, crossed.p
     if bounds is None:
         unknown = Estimate(float(a.mean() - b.mean()), None, None)
         return unknown, unknown, None
-    difference = bounded_difference(a[0] - b[0], (bounds[0] - bounds[1], bounds[1] - bounds[0]), confidence)
-    assert difference is not None
+    if paired:
+        difference = bounded_difference(a[0] - b[0], (bounds[0] - bounds[1], bounds[1] - bounds[0]), confidence)
+        assert difference is not None
+    else:
+        difference = bounded_sum([a[0], b[0]], [1, -1], bounds, confidence)
     return difference.estimate, difference.simultaneous, difference.p
 
 
-def _superiority(a: Array, b: Array, confidence: float) -> tuple[Superiority, Estimate]:
+def _superiority(a: Array, b: Array, confidence: float, paired: bool) -> tuple[Superiority, Estimate]:
     """Return the superiority of a over b, and the same probability with an interval of another confidence."""
-    if max(len(a), len(b)) > 1:
-        return superiority_over_trainings(a, b, confidence)
+    if not paired or max(len(a), len(b)) > 1:
+        return superiority_over_trainings(a, b, confidence, paired)
     simultaneous = bounded_mean((sign_of_difference(a[0], b[0]) + 1) / 2, (0.0, 1.0), confidence)
     assert simultaneous is not None
     return paired_superiority(a[0], b[0]), simultaneous

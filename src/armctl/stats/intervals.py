@@ -93,7 +93,7 @@ def bounded_mean(values: Array, bounds: Bounds, confidence: float = 0.95) -> Est
 
 @dataclass(frozen=True)
 class MeanDifference:
-    """Mean of paired differences."""
+    """Difference of means, or mean of paired differences."""
 
     estimate: Estimate
     simultaneous: Estimate
@@ -142,19 +142,37 @@ def _bounded(
 
 
 def mean_of_means(samples: Sequence[Array], bounds: Bounds) -> Estimate | None:
-    """Return the mean of the means of independent samples, (k,) each, of the same weight each; None without any.
+    """Return the mean of the means of independent samples, (k,) each, of the same weight each; None without any."""
+    samples = [values for values in samples if len(values)]
+    return bounded_sum(samples, [1 / len(samples)] * len(samples), bounds).estimate if samples else None
 
-    The interval is that of `bounded_mean`, from the mean of the samples' means under random weights.
+
+def bounded_sum(
+    samples: Sequence[Array], coefficients: Sequence[float], bounds: Bounds, confidence: float = 0.95
+) -> MeanDifference:
+    """Return the sum of the means of independent samples, (k,) each, times coefficients: a difference for 1 and -1.
+
+    The intervals and the p-value are those of `bounded_mean`, from means of each sample under random weights of its
+    own. They take no variances to be equal, and no mean to be normal.
     """
-    samples, rng = [values for values in samples if len(values)], np.random.default_rng(0)
-    if not samples:
-        return None
+    rng = np.random.default_rng(0)
     parts = [_random_weights(values, bounds, lambda ordered, weights: weights @ ordered, rng) for values in samples]
-    low, high = RandomWeights(
-        np.mean([part.low for part in parts], axis=0), np.mean([part.high for part in parts], axis=0)
-    ).limits()
-    value = float(np.mean([values.mean() for values in samples]))
-    return Estimate(value, min(low, value), max(high, value))
+    weighted, value = weighted_sum(parts, coefficients), 0.0
+    for values, coefficient in zip(samples, coefficients, strict=True):
+        value += coefficient * float(values.mean())
+
+    def estimate(confidence: float) -> Estimate:
+        low, high = weighted.limits(confidence)
+        return Estimate(value, min(low, value), max(high, value))
+
+    return MeanDifference(estimate(0.95), estimate(confidence), weighted.p())
+
+
+def weighted_sum(parts: Sequence[RandomWeights], coefficients: Sequence[float]) -> RandomWeights:
+    """Return the draws of a sum of statistics times coefficients, from the draws of each."""
+    ends = [(part.low, part.high)[:: 1 if c > 0 else -1] for part, c in zip(parts, coefficients, strict=True)]
+    low, high = (np.tensordot(coefficients, [two[side] for two in ends], axes=1) for side in (0, 1))
+    return RandomWeights(low, high)
 
 
 def _random_weights(
@@ -227,18 +245,6 @@ class Superiority:
     probability: Estimate
     p: float
     """Two-sided p-value for a probability of one half."""
-
-
-def superiority(a: Array, b: Array) -> Superiority:
-    """Return the superiority of a (k,) over b (m,) of *other* episodes: Mann and Whitney (1947), bootstrap interval."""
-
-    def statistic(a: Array, b: Array, axis: int = -1) -> Any:
-        wins: Any = scipy.stats.mannwhitneyu(a, b, axis=axis, method="asymptotic").statistic
-        return wins / (a.shape[axis] * b.shape[axis])
-
-    probability = bootstrapped(float(statistic(a, b)), [a, b], statistic)
-    equal = np.ptp(np.concatenate((a, b))) == 0
-    return Superiority(probability, 1.0 if equal else float(scipy.stats.mannwhitneyu(a, b).pvalue))
 
 
 def paired_superiority(a: Array, b: Array) -> Superiority:

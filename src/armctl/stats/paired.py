@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 
 from armctl.core.arrays import Array
+from armctl.stats.binomial import clopper_pearson
 from armctl.stats.intervals import Bounds, Estimate
 
 
@@ -25,20 +26,18 @@ def mover(only_a: float, only_b: float, episodes: int, confidence: float = 0.95)
     """
     a, b = only_a / episodes, only_b / episodes
     correlation = -math.sqrt(a * b / ((1 - a) * (1 - b))) if a * b else 0.0
-    (low_a, high_a), (low_b, high_b) = (_share(count, episodes, confidence) for count in (only_a, only_b))
+    limits_a, limits_b = (clopper_pearson(count, episodes, confidence) for count in (only_a, only_b))
+    return combined(a, limits_a, b, limits_b, correlation)
+
+
+def combined(a: float, limits_a: Bounds, b: float, limits_b: Bounds, correlation: float = 0.0) -> Estimate:
+    """Return the difference of two probabilities, with limits from those of each (MOVER)."""
 
     def distance(of_a: float, of_b: float) -> float:
         return math.sqrt(of_a**2 - 2 * correlation * of_a * of_b + of_b**2)
 
-    low, high = a - b - distance(a - low_a, high_b - b), a - b + distance(high_a - a, b - low_b)
+    low, high = a - b - distance(a - limits_a[0], limits_b[1] - b), a - b + distance(limits_a[1] - a, b - limits_b[0])
     return Estimate(a - b, max(low, -1.0), min(high, 1.0))
-
-
-def _share(count: float, episodes: int, confidence: float) -> Bounds:
-    """Return Clopper and Pearson's interval."""
-    tail, rest = (1 - confidence) / 2, episodes - count
-    low = float(scipy.stats.beta.ppf(tail, count, rest + 1)) if count > 0 else 0.0
-    return low, float(scipy.stats.beta.ppf(1 - tail, count + 1, rest)) if rest > 0 else 1.0
 
 
 def counts_of_pairs(a: Array, b: Array) -> tuple[int, int, int, int]:

@@ -7,11 +7,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from armctl.core.arrays import Array
+from armctl.stats.binomial import cdf, likely_counts, probability, quantile
 from armctl.stats.difference import EQUIVALENCE, SIGNIFICANT
 
-NEGLIGIBLE = 1e-8
-"""Probability of the counts that are left out at either end."""
 TEETH, STEPS = 4, 20
 """Periods of the saw-tooth that are examined, before and after a number of episodes with enough power, and numbers of
 episodes in each."""
@@ -43,16 +41,16 @@ def episodes_to_show_equivalence(margin: float, discordant: float, power: float 
 
 def detection_power(episodes: int, difference: float, discordant: float, tests: int = 1) -> float:
     """Return the probability that McNemar's exact test at 5 % / `tests` shows the better policy to be better."""
-    counts = _likely(episodes, discordant)
-    max_losses = _quantile(SIGNIFICANT / tests / 2, counts, 0.5)  # which are as likely as so many wins
+    counts = likely_counts(episodes, discordant)
+    max_losses = quantile(SIGNIFICANT / tests / 2, counts, 0.5)  # which are as likely as so many wins
     p_win = min(1.0, (discordant + difference) / (2 * discordant))
-    return float(_probability(counts, episodes, discordant) @ _cdf(max_losses, counts, 1 - p_win))
+    return float(probability(counts, episodes, discordant) @ cdf(max_losses, counts, 1 - p_win))
 
 
 def equivalence_power(episodes: int, margin: float, discordant: float, num_comparisons: int = 1) -> float:
     """Return the probability that equally good policies are shown to differ by less than `margin`."""
     share, level = discordant / 2, EQUIVALENCE / num_comparisons
-    counts = _likely(episodes, share)
+    counts = likely_counts(episodes, share)
     rates, rest = counts / episodes, episodes - counts
     beneath = rates - np.where(counts > 0, scipy.special.betaincinv(np.maximum(counts, 1), rest + 1, level), 0.0)
     above = np.where(rest > 0, scipy.special.betainccinv(counts + 1, np.maximum(rest, 1), level), 1.0) - rates
@@ -69,8 +67,8 @@ def equivalence_power(episodes: int, margin: float, discordant: float, num_compa
     equivalent = first <= last
     a, low, high = counts[equivalent], counts[first[equivalent]], counts[last[equivalent]]
     given_a = share / (1 - share)
-    inside = _cdf(high, episodes - a, given_a) - _cdf(low - 1, episodes - a, given_a)
-    return float(_probability(a, episodes, share) @ inside)
+    inside = cdf(high, episodes - a, given_a) - cdf(low - 1, episodes - a, given_a)
+    return float(probability(a, episodes, share) @ inside)
 
 
 def _first(holds: Callable[[NDArray[np.intp], NDArray[np.intp]], NDArray[np.bool_]], n: int) -> NDArray[np.intp]:
@@ -83,32 +81,6 @@ def _first(holds: Callable[[NDArray[np.intp], NDArray[np.intp]], NDArray[np.bool
         high = np.where(open_ & holding, middle, high)
         low = np.where(open_ & ~holding, middle + 1, low)
     return low
-
-
-def _likely(episodes: int, share: float) -> Array:
-    """Return the counts of successes whose probability is not negligible."""
-    low, rest = (float(_quantile(NEGLIGIBLE, np.asarray(float(episodes)), p)) + 1 for p in (share, 1 - share))
-    return np.arange(low, episodes - rest + 1)
-
-
-def _probability(successes: Array, trials: Array | int, p: float) -> Array:
-    """Return the binomial probability of so many successes. `scipy.stats` has it too, but takes a second to import."""
-    log_choose = -np.log1p(trials) - scipy.special.betaln(trials - successes + 1, successes + 1)
-    logs = scipy.special.xlogy(successes, p) + scipy.special.xlog1py(trials - successes, -p)
-    return np.asarray(np.exp(log_choose + logs))
-
-
-def _cdf(successes: Array, trials: Array | int, p: float) -> Array:
-    """Return the binomial probability of at most so many successes, from -1 to `trials`."""
-    below = scipy.special.betainc(np.maximum(trials - successes, 1), np.maximum(successes, 0) + 1, 1 - p)
-    return np.select([successes < 0, successes >= trials], [0.0, 1.0], below)
-
-
-def _quantile(tail: float, trials: Array, p: float) -> Array:
-    """Return the most successes that all together have at most the probability `tail`; -1 if there are none."""
-    near = np.floor(np.nan_to_num(scipy.special.bdtrik(tail, trials, p), nan=-1.0))
-    near = near - (_cdf(near, trials, p) > tail)
-    return np.asarray(near + (_cdf(near + 1, trials, p) <= tail))
 
 
 def _min_episodes(power_at: Callable[[int], float], power: float, period: float) -> int:

@@ -11,7 +11,7 @@ Components, 1992, section 4.4), takes trainings to vary normally. Nothing is con
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from armctl.stats.intervals import (
     bootstrapped,
     random_weights,
     sign_of_difference,
+    weighted_sum,
 )
 
 FEWEST_TRAININGS = 6
@@ -90,19 +91,20 @@ def mean_over_trainings(scores: Array, bounds: Bounds | None = None) -> Training
 
 
 def difference_over_trainings(
-    a: Array, b: Array, bounds: Bounds | None, narrow: float = 0.90, simultaneous: float = 0.95
+    a: Array, b: Array, bounds: Bounds | None, narrow: float = 0.90, simultaneous: float = 0.95, paired: bool = True
 ) -> CrossedDifference:
-    """Return the mean of scores a (trainings, episodes) minus that of b, whose columns are the same episodes.
+    """Return the mean of scores a (trainings, episodes) minus that of b.
 
-    A learner of a single training counts as it is: the result holds for that network. `bounds` are those of each score,
-    if they are known, `narrow` and `simultaneous` the confidences of `ci90` and of the wider interval. Student's
-    interval of two groups has Welch's degrees of freedom.
+    Columns of both are the same episodes if they are `paired`; otherwise, each has weights of its own. A learner of a
+    single training counts as it is: the result holds for that network. `bounds` are those of each score, if they are
+    known, `narrow` and `simultaneous` the confidences of `ci90` and of the wider interval. Student's interval of two
+    groups has Welch's degrees of freedom.
     """
     a, b = _table(a), _table(b)
-    student = _student(a, b)
+    student = _student(a, b) if paired else _student(a).minus(_student(b))
     weighted, possible = None, None
     if bounds is not None:
-        weighted = _random_weights(a, b, bounds)
+        weighted = _random_weights(a, b, bounds) if paired else _separate_weights(a, b, bounds)
         possible = bounds[0] - bounds[1], bounds[1] - bounds[0]
     return CrossedDifference(
         _estimate(weighted, student.value, possible),
@@ -113,28 +115,58 @@ def difference_over_trainings(
     )
 
 
-def superiority_over_trainings(a: Array, b: Array, confidence: float = 0.95) -> tuple[Superiority, Estimate]:
-    """Return the superiority of scores a (trainings, episodes) over b, whose columns are the same episodes.
+def superiority_over_trainings(
+    a: Array, b: Array, confidence: float = 0.95, paired: bool = True
+) -> tuple[Superiority, Estimate]:
+    """Return the superiority of scores a (trainings, episodes) over b: of one training of a over one of b.
 
-    It is that of one training of a over one of b; a learner of a single training counts as it is. The second estimate
-    is the same probability with the interval of another `confidence`.
+    Columns of both are the same episodes if they are `paired`. Otherwise, any episode of a is held against any of b,
+    and each has weights of its own, so that variances need not be equal. A learner of a single training counts as it
+    is. The second estimate is the same probability with the interval of another `confidence`.
     """
     a, b = _table(a), _table(b)
-    ahead = (sign_of_difference(a[:, None], b) + 1) / 2
-    rng, draws = np.random.default_rng(0), []
-    for means, total in _weighted_episodes(ahead.reshape(-1, ahead.shape[-1]), rng):
-        of_a, of_b = (_training_weights(len(means), len(learner), rng) for learner in (a, b))
-        inside = np.einsum("ri,rj,rij->r", of_a, of_b, means.reshape(-1, len(a), len(b)))
-        at_bound = 1 - of_a.sum(axis=1) * of_b.sum(axis=1) * total
-        draws.append((inside - 0.5, inside + at_bound - 0.5))
-    weighted = RandomWeights(*np.concatenate(draws, axis=1))
-    value = float(ahead.mean())
+    draws = (_paired_superiority if paired else _separate_superiority)(a, b, np.random.default_rng(0))
+    inside, at_bound = np.concatenate(list(draws), axis=1)
+    weighted = RandomWeights(inside - 0.5, inside + at_bound - 0.5)
+    if paired:
+        value = float((sign_of_difference(a[:, None], b).mean() + 1) / 2)
+    else:
+        value = float(_share_below(np.sort(b, axis=None), np.full((1, b.size), 1 / b.size), a.ravel()).mean())
 
     def estimate(confidence: float) -> Estimate:
         low, high = weighted.limits(confidence)
         return _within(value, (low + 0.5, high + 0.5), (0.0, 1.0))
 
     return Superiority(estimate(0.95), weighted.p()), estimate(confidence)
+
+
+def _paired_superiority(a: Array, b: Array, rng: np.random.Generator) -> Iterator[Array]:
+    """Yield the superiority (r,) under random weights, and the weight (r,) at the bound, in batches."""
+    ahead = (sign_of_difference(a[:, None], b) + 1) / 2
+    for means, total in _weighted_episodes(ahead.reshape(-1, ahead.shape[-1]), rng):
+        of_a, of_b = (_training_weights(len(means), len(learner), rng) for learner in (a, b))
+        inside = np.einsum("ri,rj,rij->r", of_a, of_b, means.reshape(-1, len(a), len(b)))
+        yield np.array([inside, 1 - of_a.sum(axis=1) * of_b.sum(axis=1) * total])
+
+
+def _separate_superiority(a: Array, b: Array, rng: np.random.Generator) -> Iterator[Array]:
+    """Yield what `_paired_superiority` does, of different episodes."""
+    order, first = np.argsort(b, axis=None), a.shape[1] + 1
+    for weights, _ in random_weights(np.ones(first + b.shape[1] + 1, dtype=int), rng):
+        scores = []
+        for learner, raw in ((a, weights[:, :first]), (b, weights[:, first:])):
+            of_episodes = (raw / raw.sum(axis=1, keepdims=True))[:, None, :-1]
+            of_trainings = _training_weights(len(raw), len(learner), rng)[:, :, None]
+            scores.append((of_trainings * of_episodes).reshape(len(raw), -1))
+        inside = (scores[0] * _share_below(b.ravel()[order], scores[1][:, order], a.ravel())).sum(axis=1)
+        yield np.array([inside, 1 - scores[0].sum(axis=1) * scores[1].sum(axis=1)])
+
+
+def _share_below(ordered: Array, weights: Array, values: Array) -> Array:
+    """Return the weight (r, k) of ordered scores (m,), with weights (r, m), below values (k,); a tie counts half."""
+    sums = np.pad(np.cumsum(weights, axis=1), ((0, 0), (1, 0)))
+    sides = (np.searchsorted(ordered, values, side) for side in ("left", "right"))
+    return np.asarray(sum(sums[:, places] for places in sides) / 2)
 
 
 @dataclass(frozen=True)
@@ -148,6 +180,17 @@ class _Student:
     """Standard deviation between the trainings of the first learner."""
     episodes: float
     """Standard deviation that is common to all trainings."""
+
+    def minus(self, other: "_Student") -> "_Student":
+        """Return the difference from the mean of other episodes, with Welch's degrees of freedom."""
+        variances = self.error**2, other.error**2
+        parts = sum(part**2 / two.freedom for part, two in zip(variances, (self, other), strict=True))
+        return replace(
+            self,
+            value=self.value - other.value,
+            error=sum(variances) ** 0.5,
+            freedom=sum(variances) ** 2 / parts if parts else self.freedom,
+        )
 
     def estimate(self, possible: Bounds | None) -> Estimate:
         """Return the mean with the 95 % interval, as far as it is possible."""
@@ -177,14 +220,14 @@ def _student(a: Array, b: Array | None = None) -> _Student:
     if sum(parts) > 0:
         freedom = sum(parts) ** 2 / sum(part**2 / max(k, 1) for part, k in zip(parts, freedoms, strict=True))
     else:
-        freedom = float(min(filter(None, freedoms)))
+        freedom = float(min(filter(None, freedoms), default=max(n - 1, 1)))
     return _Student(float(columns.mean()), (sum(parts) + episodes / n) ** 0.5, freedom, between[0], episodes**0.5)
 
 
-def _random_weights(a: Array, b: Array | None, bounds: Bounds) -> RandomWeights:
+def _random_weights(a: Array, b: Array | None, bounds: Bounds, rng: np.random.Generator | None = None) -> RandomWeights:
     together = a if b is None else np.vstack((a, b))
     lowest, highest = min(bounds[0], together.min()), max(bounds[1], together.max())
-    rng, draws = np.random.default_rng(0), []
+    rng, draws = rng or np.random.default_rng(0), []
     for means, total in _weighted_episodes(together, rng):
         low, high = _limits(means[:, : len(a)], total, lowest, highest, rng)
         if b is not None:
@@ -192,6 +235,11 @@ def _random_weights(a: Array, b: Array | None, bounds: Bounds) -> RandomWeights:
             low, high = low - other_high, high - other_low
         draws.append((low, high))
     return RandomWeights(*np.concatenate(draws, axis=1))
+
+
+def _separate_weights(a: Array, b: Array, bounds: Bounds) -> RandomWeights:
+    rng = np.random.default_rng(0)
+    return weighted_sum([_random_weights(learner, None, bounds, rng) for learner in (a, b)], [1, -1])
 
 
 def _weighted_episodes(scores: Array, rng: np.random.Generator) -> Iterator[tuple[Array, Array]]:
