@@ -3,6 +3,7 @@ import json
 import os
 import subprocess
 import sys
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -39,7 +40,8 @@ def test_an_id_is_the_content_of_its_record():
     run = RunMeter({"env": "a"}, 1, 1).run
     known = dataclasses.asdict(run)
     later = {
-        name: known.pop(name) for name in ("id", "load_most", "load_end", "load_own", "judged", "baseline", "margin")
+        name: known.pop(name)
+        for name in ("id", "load_most", "load_end", "load_own", "judged", "baseline", "margin", "overwritten")
     }
     assert later["id"] == digest([{"env": "a"}, known])
     assert digest([{"env": "b"}, known]) != run.id
@@ -84,6 +86,70 @@ def test_another_baseline_or_margin_is_told_forever(tmp_path):
     assert told_before(again) == ["baseline random, margin 0.02; no baseline, margin 0.02"]
     assert again.looks == []
     assert "earlier look" not in str(again.verdict)
+
+
+BOTH: Any = {"policies": ["random", "reach_ik"], "env_options": SHORT}
+LOOKED = "after an earlier look at {} episodes, p is too small"
+
+
+def test_looks_survive_overwriting_and_so_do_other_arguments(tmp_path):
+    folder: Any = {"out": tmp_path, "overwrite": True}
+    compare(**BOTH, episodes=10, baseline="random", out=tmp_path)
+    again = compare(**BOTH, episodes=20, **folder)
+    assert again.looks == read_comparison(tmp_path).looks == [10]
+    assert LOOKED.format(10) in again.verdict.result
+    assert told_before(again) == ["baseline random, margin 0.02"]
+    twice = compare(**BOTH, episodes=20, **folder)  # with other random numbers: the dice are thrown anew
+    assert twice.looks == [10, 20]
+    compare(**BOTH, episodes=30, out=tmp_path)
+    assert compare(**BOTH, episodes=40, out=tmp_path).looks == [10, 20, 30]
+
+
+@pytest.mark.slow
+def test_a_kill_or_ctrl_c_after_overwriting_forgets_no_look(tmp_path):
+    compare(**BOTH, episodes=10, out=tmp_path)
+
+    def end(result):
+        raise KeyboardInterrupt
+
+    assert compare(**BOTH, episodes=30, out=tmp_path, overwrite=True, progress=end).interrupted
+    code = f"""
+import os, armctl
+armctl.compare({BOTH["policies"]}, episodes=40, out={str(tmp_path)!r}, env_options={SHORT!r}, overwrite=True,
+               progress=lambda result: os._exit(1))
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 1
+    assert 10 in compare(**BOTH, episodes=40, out=tmp_path).looks
+
+
+def test_looks_at_other_policies_seeds_and_environments_are_none(tmp_path):
+    compare(**BOTH, episodes=10, out=tmp_path)
+    other: Any = {"out": tmp_path, "overwrite": True}
+    assert compare(**BOTH, episodes=20, seed=1, **other).looks == []
+    assert compare(**BOTH | {"env_options": {"max_episode_steps": 4}}, episodes=30, seed=1, **other).looks == []
+    (tmp_path / "results.sqlite").write_bytes(b"damaged")
+    assert compare(**BOTH, episodes=12, **other).looks == []
+    three = BOTH | {"policies": [*BOTH["policies"], "reach_ppo"]}
+    assert compare(**three, episodes=14, **other).looks == [12]  # two of them were looked at
+
+
+@pytest.mark.slow
+def test_sweeps_and_suites_tell_looks_too_also_overwritten_ones(tmp_path, monkeypatch):
+    options: Any = {"out": tmp_path / "sweep", "env_options": SHORT}
+    swept = armctl.sweep(BOTH["policies"], disturbances={"payload": [0, 2]}, episodes=10, **options)
+    swept = armctl.sweep(BOTH["policies"], disturbances={"payload": [0, 2]}, episodes=12, overwrite=True, **options)
+    assert LOOKED.format(10) in str([part.text for part in swept.document().parts if hasattr(part, "text")])
+    suite: Any = {"envs": ["ArmReach-v0"], "quick": True, "out": tmp_path / "suite"}
+    armctl.suite(**suite, episodes=10)
+    for result in (armctl.suite(**suite, episodes=12), armctl.suite(**suite, episodes=13, overwrite=True)):
+        (verdict,) = result.verdicts
+        looks = {12: [10], 13: [10, 12]}[result.episodes]
+        assert list(verdict.looks) == looks
+        texts = [part.text for part in result.document().parts if hasattr(part, "text")]
+        headline = " ".join(texts[:2])
+        assert all(f"{count}" in headline.partition("earlier look")[2] for count in looks), headline
+        assert "p is too small" in verdict.verdict
+        assert "p is too small" in verdict.context
 
 
 def told_before(comparison):

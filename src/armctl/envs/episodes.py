@@ -103,7 +103,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     @property
     def foresight(self) -> tuple[str, ...]:
-        """What can be foreseen here: keys of `FORESIGHT`."""
+        """Foresight that policies can have here: keys of `FORESIGHT`."""
         return (*self.task.foresight, *(("disturbance",) if self.disturbances else ()))
 
     def preview(self, name: str, world: int = 0) -> Any:

@@ -58,7 +58,7 @@ class Interface:
     of_one_world: bool = False
     """True if the policy acts in one world, without a batch axis."""
     foresight: tuple[str, ...] = ()
-    """What the policy declares to foresee: keys of `FORESIGHT`."""
+    """Foresight that the policy declares: keys of `FORESIGHT`."""
     _episodes: Sequence[CurrentEpisode] = ()
 
     @functools.cached_property

@@ -36,6 +36,7 @@ from armctl.episodes.stored import (
     cells_in,
     checksum_of,
     episodes_of,
+    judged_runs,
     runs_of,
     select,
     sizes_in,
@@ -62,6 +63,8 @@ class Store:
         self.texts: dict[str, int] = {}
         self.failure: sqlite3.Error | None = None
         """Why episodes cannot be written any more."""
+        self._overwritten: list[tuple[dict[str, Any], list[Run]]] = []
+        """Identities of overwritten cells, and what was told of them."""
         self._opened = contextlib.ExitStack()
         self._file: sqlite3.Connection | None = None
 
@@ -86,6 +89,7 @@ class Store:
             if self.folder is not None and path is not None:
                 self._opened.enter_context(one_writer(self.folder))
                 if self._overwrite or not os.path.lexists(path):
+                    self._overwritten = judged_runs(self.folder)
                     for part in files(path):
                         part.unlink(missing_ok=True)
                     write_atomically(path, _make)
@@ -116,6 +120,17 @@ class Store:
         except BaseException:
             self.close()
             raise
+
+    def overwritten_runs(self, identity: Mapping[str, Any]) -> list[Run]:
+        """Return the overwritten runs that told a verdict on these policies, or on two of them, in these episodes."""
+        policies, same = set(identity["policies"]), ("env", "env_options", "seed")
+        return [
+            run
+            for other, runs in self._overwritten
+            if all(other.get(name) == identity.get(name) for name in same)
+            and len(policies.intersection(other.get("policies", ()))) >= min(2, len(policies))
+            for run in runs
+        ]
 
     @property
     def file(self) -> sqlite3.Connection:
@@ -170,7 +185,7 @@ class CellWriter:
         self._unwritten: list[tuple[Any, ...]] = []
         """Rows that could not be written."""
         self.kept = EpisodeTable()
-        self.runs: list[Run] = []
+        self.runs = store.overwritten_runs(identity)
         self._grown = False
         present = {stored: (number, text) for number, stored, text, _ in cells_in(store.file)}
         self._number = present[name][0] if name in present else max((i for i, _ in present.values()), default=-1) + 1
@@ -253,13 +268,17 @@ class CellWriter:
             )
 
     def _write_runs(self, runs: Iterable[Run]) -> list[Run]:
-        """Replace the runs by those that have played episodes, or told a verdict by other arguments than all before."""
+        """Replace the runs by those that have played episodes, or told a verdict by other arguments than all before.
+
+        Overwritten ones stay.
+        """
         ids = "SELECT text FROM text WHERE id IN (SELECT run FROM episode WHERE cell = ?)"
         runs_with_episodes = {text for (text,) in self._store.file.execute(ids, (self._number,))}
         counted: list[Run] = []
         for run in runs:
             verdicts = {(other.baseline, other.margin) for other in counted if other.judged}
-            if run.id in runs_with_episodes or (run.judged and (run.baseline, run.margin) not in verdicts):
+            is_new_verdict = run.judged and (run.baseline, run.margin) not in verdicts
+            if run.overwritten or run.id in runs_with_episodes or is_new_verdict:
                 counted.append(run)
         self._store.file.execute("DELETE FROM run WHERE cell = ?", (self._number,))
         self._add_runs(counted)

@@ -4,7 +4,7 @@ import contextlib
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -94,6 +94,19 @@ def stored_policy_seed(folder: Path) -> int | None:
         return int(read_identities(folder)[0][POLICY_SEED])
     except (ResultsError, LookupError, TypeError, ValueError):
         return None
+
+
+def judged_runs(folder: Path) -> list[tuple[dict[str, Any], list[Run]]]:
+    """Read the identity of each cell in a folder's store, with the runs that told a verdict; nothing if it is damaged.
+
+    The runs are marked as overwritten.
+    """
+    with contextlib.suppress(ResultsError), _read(folder, whole=False) as file:
+        return [
+            (unsealed(text), [replace(run, overwritten=True) for run in runs_of(file, number) if run.judged])
+            for number, _, text, _ in cells_in(file)
+        ]
+    return []
 
 
 @contextlib.contextmanager

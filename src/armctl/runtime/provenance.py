@@ -49,6 +49,8 @@ class Run:
     """Baseline of the verdict; the next is its margin."""
     margin: float | None = None
     """None if it was killed before."""
+    overwritten: bool = False
+    """True if its episodes were overwritten: what it told was seen, and counts as a look."""
 
     @property
     def busy(self) -> bool:
@@ -90,8 +92,12 @@ class RunMeter:
 
 
 def earlier_looks(runs: Sequence[Run]) -> list[int]:
-    """Return the numbers of episodes of every policy after which runs before the last one told a verdict."""
-    return sorted({run.judged for run in runs[:-1] if run.judged} - {run.judged for run in runs[-1:]})
+    """Return the numbers of episodes of every policy after which runs before the last one told a verdict.
+
+    The same episodes are seen once, but those that were overwritten are others.
+    """
+    looks = {run.judged for run in runs[:-1] if run.judged} - {run.judged for run in runs[-1:]}
+    return sorted(looks | {run.judged for run in runs if run.overwritten and run.judged})
 
 
 def looks_in_words(looks: Sequence[int]) -> str:

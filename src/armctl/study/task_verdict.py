@@ -11,7 +11,7 @@ import numpy as np
 from armctl.core.registration import bare_id, short_name
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import privileges
-from armctl.runtime.provenance import looks_in_words
+from armctl.runtime.provenance import looks_in_words, with_looks
 from armctl.stats.across_tasks import Choice, TaskPair, choose, pairwise_by_task, rate_of, values_of
 from armctl.stats.correction import holm
 from armctl.stats.difference import MARGIN, within
@@ -177,6 +177,7 @@ class TaskVerdict:
         if self.undisturbed is None:
             return ""
         reversals = f"{self.reversals[:1].upper()}{self.reversals[1:]}." if self.reversals else ""
+        reversals = with_looks(reversals, self.looks)
         return " ".join(filter(None, (reversals, self.not_compared, self.costs)))
 
 

@@ -1,4 +1,4 @@
-"""What a network of a task takes and returns: features and relative actions, as plain values."""
+"""Input and output of a network for a task: features and relative actions, as plain values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -121,7 +121,7 @@ class TaskFacts(ABC):
     instruction: ClassVar[str] = ""
     """Instruction for the robot, as a sentence for models that take language; empty: unknown."""
     foresight: tuple[str, ...] = ()
-    """What changes by itself in an episode, so that policies may foresee it: `target`, `pedestrians`."""
+    """Things that change by themselves in an episode, so that policies may foresee them: `target`, `pedestrians`."""
     granted: tuple[str, ...] | None = None
     """Foresight of the policy that acts at present; None while none does."""
     n: int

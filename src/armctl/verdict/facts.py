@@ -30,7 +30,7 @@ class PolicyFacts:
     family: str | None = None
     """Kind of method, such as `MPC`; None: it declares none."""
     foresight: tuple[str, ...] = ()
-    """What it foresees here: keys of `FORESIGHT`."""
+    """Foresight that it declares, of what this environment has: keys of `FORESIGHT`."""
 
 
 @dataclass(frozen=True, kw_only=True)

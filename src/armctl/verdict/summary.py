@@ -136,7 +136,7 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     family: str = ""
     """Kind of method that the policy declares, such as `MPC`; of another, its name."""
     foresight: tuple[str, ...] = ()
-    """What the policy foresees, such as the `pedestrians`' future."""
+    """Foresight, such as `pedestrians`."""
 
     @property
     def learned(self) -> bool:
@@ -167,7 +167,7 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
     @property
     def privilege(self) -> str:
-        """What it sees and foresees, in words."""
+        """Privilege and foresight, in words."""
         return privilege_in_words(self.sees, self.foresight)
 
     @property
