@@ -43,6 +43,7 @@ PACKAGES = {
     "datasets": Package("demonstrations", STUDY),
     "tuning": Package("search", STUDY),
     "training": Package("recipes, trainings", STUDY),
+    "judging": Package("results made anywhere", STUDY),
     "study": Package("policies x cells: plan, loop, results", STUDY, "2"),
     "verdict": Package("summaries, sentences, tables", STUDY, "8"),
     "stats": Package("intervals, tests", STUDY, "7"),

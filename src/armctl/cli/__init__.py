@@ -9,11 +9,24 @@ from collections.abc import Sequence, Set
 from types import FrameType
 from typing import NoReturn
 
-from armctl.cli import catalogue, compare, evaluate, export, learn, new, play, share, tune
+from armctl.cli import catalogue, compare, evaluate, export, judge, learn, new, play, share, tune
 from armctl.cli.app import app, settings
 from armctl.core.errors import ArmctlError, format_cause
 
-__all__ = ["app", "catalogue", "compare", "evaluate", "export", "learn", "main", "new", "play", "share", "tune"]
+__all__ = [
+    "app",
+    "catalogue",
+    "compare",
+    "evaluate",
+    "export",
+    "judge",
+    "learn",
+    "main",
+    "new",
+    "play",
+    "share",
+    "tune",
+]
 
 TRACEBACK = "--traceback"
 PATIENCE = 2.0

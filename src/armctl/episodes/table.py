@@ -177,7 +177,8 @@ class EpisodeTable(Sequence[EpisodeResult]):
     @property
     def is_warm(self) -> NDArray[np.bool_]:
         """(len(self),) whether an episode has decisions, and none of them was the policy's first in its process."""
-        return np.asarray((self.column("length") > 0) & np.isnan(self.column("first_call_ms")))
+        has_times = self._decision_ms.lengths[self._rows] > 0
+        return np.asarray(has_times & np.isnan(self.column("first_call_ms")))
 
     def first_decision_ms(self) -> Array:
         """Return the time of the reset with the first decision, of each episode that `is_warm`."""
@@ -201,7 +202,7 @@ class EpisodeTable(Sequence[EpisodeResult]):
         has_first_call = ~np.isnan(self.column("first_call_ms"))
         (rows,) = np.nonzero(has_first_call)
         bounds = np.unique(np.concatenate((rows, rows + 1, np.arange(0, len(self), AT_ONCE), [len(self)])))
-        warm, end = np.empty(int(self.column("length").sum())), 0
+        warm, end = np.empty(int(self._decision_ms.lengths[self._rows].sum())), 0
         for first, last in itertools.pairwise(bounds.tolist()):
             times = warm_times(self[first:last].decision_ms().values, bool(has_first_call[first]))
             warm[end : (end := end + len(times))] = times

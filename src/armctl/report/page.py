@@ -25,6 +25,7 @@ from armctl.study.results import read_study
 from armctl.study.task_results import Sweep
 from armctl.verdict.sentences import Verdict
 from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary_tables import listed_files
 
 REPORT = "report.html"
 
@@ -63,13 +64,13 @@ def write_report(
             progress(name)
             page = out.with_name(f"{name}.html")
             reports[env] = quote(page.name)
-        _write_task_page(swept, page, name, bool(video) if study.kind == SUITE else video, progress)
+        write_task_page(swept, page, name, bool(video) if study.kind == SUITE else video, progress)
     if study.kind == SUITE:
         write_suite_page(study, folder, out, reports)
     return out
 
 
-def _write_task_page(swept: Sweep, out: Path, name: str, video: bool | None, progress: Callable[[str], None]) -> None:
+def write_task_page(swept: Sweep, out: Path, name: str, video: bool | None, progress: Callable[[str], None]) -> None:
     """Write the page of a task: its undisturbed comparison, and its disturbances if there are any."""
     comparison, points = swept.comparisons[UNDISTURBED], swept.points
     names = list(dict.fromkeys((*comparison.names, *points.policy)))
@@ -92,7 +93,11 @@ def _write_task_page(swept: Sweep, out: Path, name: str, video: bool | None, pro
     if len(points):
         page["command"] = f"{_command('sweep', comparison, page['extent'])}{_disturbances(swept)}"
     if video is False:
-        page["no_videos"] = "armctl report without --no-video films some episodes."
+        page["no_videos"] = (
+            ""
+            if swept.undisturbed and swept.undisturbed.facts.sources
+            else "armctl report without --no-video films some episodes."
+        )
     elif comparison.facts.real_time:
         page["no_videos"] = "Episodes in real time cannot be played again for them."
     else:
@@ -105,7 +110,8 @@ def _comparison(comparison: Comparison, styles: style.Styles) -> dict[str, Any]:
     """Everything on the page about a comparison, except for videos."""
     policies = comparison.policies
     planned = policies[0].planned if policies else 0
-    extent = f"--episodes {planned}{_parallel(policies)}{_real_time_options(comparison)}" if planned else ""
+    is_repeatable = planned > 0 and not comparison.facts.sources
+    extent = f"--episodes {planned}{_parallel(policies)}{_real_time_options(comparison)}" if is_repeatable else ""
     verdict = comparison.verdict or Verdict(_single(comparison))
     page: dict[str, Any] = {
         "headline": renamed(verdict.result, styles),
@@ -113,7 +119,8 @@ def _comparison(comparison: Comparison, styles: style.Styles) -> dict[str, Any]:
         "context": renamed(verdict.context, styles),
         "planned": planned,
         "extent": extent,
-        "command": _command("compare", comparison, extent),
+        "command": _command("compare", comparison, extent) if is_repeatable else "",
+        "found_in": listed_files(comparison.facts.sources),
         "missing": [
             name
             for name in comparison.names

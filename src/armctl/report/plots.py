@@ -49,7 +49,7 @@ class Plot:
 
 def comparison_plots(comparison: Comparison, styles: style.Styles) -> dict[str, Any]:
     """All figures of a comparison with at least one episode, by their names on the page."""
-    policies, episodes = comparison.policies, comparison.counted
+    policies, episodes, unknown = comparison.policies, comparison.counted, comparison.facts.unknown
     terms = figures.term_means(episodes)
     term_styles = {
         term: style.Style(term, TERM_COLOURS[i % len(TERM_COLOURS)])
@@ -71,8 +71,8 @@ def comparison_plots(comparison: Comparison, styles: style.Styles) -> dict[str, 
             figures.return_points(policies, styles),
             "; ".join(f"{policy.policy}: return {mean(policy.episode_return)}" for policy in policies),
         ),
-        "profile": _profile(comparison, styles),
-        "paired": _paired(comparison, styles),
+        "profile": None if "return" in unknown else _profile(comparison, styles),
+        "paired": [] if "return" in unknown else _paired(comparison, styles),
         "reward_terms": Plot(
             figures.reward_terms(terms, styles, term_styles),
             "; ".join(
@@ -91,7 +91,9 @@ def comparison_plots(comparison: Comparison, styles: style.Styles) -> dict[str, 
                 for policy in policies
             ),
             note=_besides_decisions(policies),
-        ),
+        )
+        if not comparison.facts.sources
+        else None,
         "trade_off": trade_off_plot(policies, styles),
         "training_cost": _training_cost(policies, curves, styles),
         "curve_problems": problems,

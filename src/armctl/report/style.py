@@ -1,6 +1,7 @@
 """The style of figures: styles of policies, axes, labels, bands."""
 
 import html
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +46,9 @@ def styles_of(names: Sequence[str]) -> dict[str, Style]:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, but all digits before the decimal point."""
+    """Return a number with so many significant digits, but all digits before the decimal point; a dash for NaN."""
+    if math.isnan(value):
+        return "\u2013"
     return signed(f"{value:,.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}")
 
 

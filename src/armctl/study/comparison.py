@@ -120,7 +120,7 @@ class Comparison(Displayed):
         if verdict:
             parts += [Remark(sentence, "verdict") for sentence in (verdict.result, verdict.cost) if sentence]
         if self.policies:
-            parts.append(policy_table(self.env, self.seed, self.policies, self.facts.disqualified))
+            parts.append(policy_table(self.env, self.seed, self.policies, self.facts.disqualified, self.facts.sources))
         parts += [details(policy) for policy in self.policies]
         if self.differences:
             parts.append(difference_table(self.differences, self.facts.baseline))
@@ -136,7 +136,7 @@ class Comparison(Displayed):
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
         for policy in self.policies:
-            if policy.episodes < policy.planned - policy.infeasible:
+            if policy.episodes < policy.planned - policy.infeasible and not self.facts.sources:
                 counts = f"the first {policy.episodes} of {policy.planned} episodes"
                 parts.append(Remark(f"{policy.policy} was cut short: its figures are over {counts}.", "note"))
         return Document(parts, {"env": self.env, "env_options": self.facts.env_options, "seed": self.seed})
@@ -167,7 +167,7 @@ def concluded(
     counted, _ = counted_results(results)
     by_return = bool(comparison.policies) and comparison.policies[0].success is None
     comparison.notes += [
-        *([] if facts.return_bounds else [UNBOUNDED]),
+        *([] if facts.return_bounds or "return" in facts.unknown else [UNBOUNDED]),
         *certificate_notes(results),
         *motion_notes(results, facts.control_period),
         *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),

@@ -1,7 +1,7 @@
 """Facts about a cell besides its episodes and runs. The three are stored; everything else is computed from them."""
 
-from dataclasses import dataclass
-from typing import Annotated, Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 from typing_extensions import TypedDict
@@ -9,6 +9,8 @@ from typing_extensions import TypedDict
 from armctl.agents.costs import TrainingCost
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+UNDECLARED: Literal["not declared"] = "not declared"
+"""Text in place of what nobody said about a policy."""
 
 
 class RealTimeFacts(TypedDict):
@@ -24,13 +26,16 @@ class PolicyFacts:
 
     sees: str
     training_cost: TrainingCost
-    construction_ms: Finite
+    construction_ms: Finite | None
+    """None if unknown."""
     spared: tuple[str, ...]
     """The disturbances that do not reach it."""
     family: str | None = None
     """Kind of method, such as `MPC`; None: it declares none."""
     foresight: tuple[str, ...] = ()
     """Foresight that it declares, of what this environment has: keys of `FORESIGHT`."""
+    kind: Literal["learned", "classical", "not declared"] | None = None
+    """Kind of policy as it was declared for results made elsewhere; None: its training cost tells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,3 +73,7 @@ class Facts:
     """Number of episodes that an earlier run had finished."""
     paired: bool = True
     """True if all policies played the same episodes."""
+    sources: list[str] = field(default_factory=list)
+    """Files in which episodes that were played elsewhere were found; empty if armctl played them."""
+    unknown: list[str] = field(default_factory=list)
+    """Measures that these files do not have: of `return`, `steps` and `decision_ms`."""

@@ -194,6 +194,8 @@ def _plan(pair: Pair, margin: float) -> str:
 def _decision_times(pair: Pair) -> str:
     """Return the decision times of both policies, and the decisions of their training."""
     policies = (pair.first, pair.second)
+    if all(math.isnan(policy.decision_ms_p50) for policy in policies):
+        return ""
     times = ", ".join(f"{policy.policy} {policy.decision_time}{policy.training.brief}" for policy in policies)
     return f"Median decision time: {times}{_timing(pair)}."
 

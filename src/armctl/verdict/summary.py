@@ -3,7 +3,7 @@
 import functools
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from armctl.runtime.provenance import Run
 from armctl.stats.difference import Difference
 from armctl.stats.intervals import Bounds, Estimate, bounded_mean, median, success_rate, worst_decile
 from armctl.stats.trainings import mean_over_trainings
+from armctl.verdict.decision_summary import DecisionTimes, decision_times
 from armctl.verdict.facts import Facts
 from armctl.verdict.scores import Limits, by_learner, pairs_of, scores_of
 from armctl.verdict.tables import milliseconds
@@ -84,40 +85,6 @@ class Performance:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DecisionTimes:
-    """Times of decisions, in the episodes that were played with `worlds` and `workers`.
-
-    Decisions are warm, all but the policy's first in its process, unless a field says otherwise.
-    """
-
-    decision_ms_p50: float
-    decision_ms_p99: float
-    decision_ms_max: float
-    missed_deadlines: float | None
-    """Share of decisions whose time exceeded the control period; None if that is unknown (see `timing`)."""
-    first_call_ms: float | None = None
-    """The longest first decision of the policy in a process; None if that was in none of the episodes."""
-    worlds: int = 1
-    """Number of worlds that shared the policy's calls."""
-    workers: int = 1
-    """Number of processes that played at a time."""
-    decision_seconds: Estimate | None = None
-    """Mean over episodes of the time of the reset and all decisions, the first one included."""
-    reset_ms: float | None = None
-    """Median over episodes; None if unknown."""
-    first_decision_ms: float | None = None
-    """Median over episodes of the reset with the first decision, in which planners plan; None if none was warm."""
-    control_step_ms: float = math.nan
-    """Median over warm episodes of the time of the reset and all decisions, for each control step; else the median.
-
-    Unlike the median decision, it has all planning, whenever that is done; unlike the mean, it does not follow the few
-    decisions that other processes interrupt."""
-    construction_ms: float | None = None
-    """Time to make the policy in the process that played, of several the longest; divided by the number of
-    controllers, if there is one for each world. None if unknown."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     """One policy over all its episodes."""
 
@@ -137,24 +104,28 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     """Kind of method that the policy declares, such as `MPC`; of another, its name."""
     foresight: tuple[str, ...] = ()
     """Foresight, such as `pedestrians`."""
+    kind: str | None = None
+    """Kind of policy as `PolicyFacts` has it."""
 
     @property
     def learned(self) -> bool:
         """True if it was trained."""
-        return self.training.steps > 0
+        return self.training.steps > 0 or self.kind == "learned"
 
     @property
     def effort(self) -> list[str]:
         """Effort of its training and tuning, in words; empty for a policy without either, as far as is recorded."""
         trained = f"{self.policy} was trained for {self.training}{' each' * bool(self.trainings)}"
         tuned = f"{self.policy} was tuned in {self.training.tuning}"
-        return [trained] * self.learned + [tuned] * (self.training.tuning is not None)
+        return [trained] * (self.training.steps > 0) + [tuned] * (self.training.tuning is not None)
 
     @property
     def decision_time(self) -> str:
         """Median and 99th percentile of a decision, in words; with the first one of an episode if that takes longer."""
         if math.isnan(self.decision_ms_p50):
             return "unknown"
+        if math.isnan(self.decision_ms_p99):
+            return milliseconds(self.decision_ms_p50)
         details = [f"99th percentile {milliseconds(self.decision_ms_p99)}"]
         if self.first_decision_ms is not None and self.first_decision_ms > MIN_PLANNING * self.decision_ms_p50:
             details.append(f"reset and first decision {milliseconds(self.first_decision_ms)}")
@@ -201,7 +172,9 @@ def summarise(
     for name, trainings in trained.items():
         members = [facts.policies[member] for member in trainings]
         costs = [member.training_cost for member in members]
-        construction_ms = max(member.construction_ms for member in members)
+        construction_ms = max(
+            (spent for member in members if (spent := member.construction_ms) is not None), default=None
+        )
         together = functools.reduce(EpisodeTable.together, trainings.values())
         summary = PolicySummary(
             policy=name,
@@ -214,8 +187,9 @@ def summarise(
             spared=members[0].spared,
             family=members[0].family or name,
             foresight=members[0].foresight,
-            **vars(_performance(together, scored, limits)),
-            **vars(_decision_times(comparable_times(together, machines), construction_ms)),
+            kind=members[0].kind,
+            **vars(_performance(together, scored, limits, facts.unknown)),
+            **vars(decision_times(comparable_times(together, machines), construction_ms, bool(facts.sources))),
         )
         if len(trainings) > 1:
             summary = _of_group(summary, trainings, scored, limits)
@@ -249,7 +223,7 @@ def counted_rows(results: EpisodeTable) -> "pd.DataFrame":
     return rows.assign(**{"return": rows["return"].where(rows.outcome != ERROR, -math.inf)})
 
 
-def _performance(results: EpisodeTable, scored: bool, limits: Limits) -> Performance:
+def _performance(results: EpisodeTable, scored: bool, limits: Limits, unknown: Collection[str]) -> Performance:
     def scores(score: str) -> NDArray[np.float64]:
         return np.asarray(scores_of(score, [results], limits)[0])
 
@@ -258,45 +232,21 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits) -> Perform
     finite = bool(np.isfinite(returns).all())
     steps = (1.0, float(limits.steps)) if limits.steps else None
     has_contacts = None not in results.column("contacts").tolist()
-    efficiency = scores("efficiency")
+    efficiency, has_steps = scores("efficiency"), "steps" not in unknown
     return Performance(
         success=success_rate(scores("success") == 1) if scored else None,
         episode_return=_mean(returns, limits.returns) if finite else None,
-        steps_to_goal=_mean(won.column("length"), steps),
+        steps_to_goal=_mean(won.column("length"), steps) if has_steps else None,
         optimality_gap=median(_finite(results.optimality_gap)),
         tracking_error=_mean(_finite(results.column("tracking_error"))),
         metrics={name: _mean_metric(name, won if scored else results, limits.steps) for name in METRICS},
         solver_failures=sum(results.column("solver_failures").tolist()),
-        length=_mean(scores("length"), steps),
+        length=_mean(scores("length"), steps) if has_steps else None,
         clean_success=success_rate(scores("clean_success") == 1) if scored and has_contacts else None,
         worst_decile=worst_decile(returns, limits.returns) if finite else None,
-        median_return=median(returns) if limits.returns is None else None,
+        median_return=median(returns) if limits.returns is None and "return" not in unknown else None,
         restricted_steps=_mean(scores("restricted_steps"), steps) if scored and limits.steps else None,
         efficiency=bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
-    )
-
-
-def _decision_times(timed: EpisodeTable, construction_ms: float) -> DecisionTimes:
-    decisions = timed.warm_ms() if timed.column("length").any() else np.array([math.nan])
-    resets, first_calls = _finite(timed.column("reset_ms")), _finite(timed.column("first_call_ms"))
-    first_decisions, longest = timed.first_decision_ms(), float(decisions.max())
-    warm = timed[timed.is_warm]
-    per_step = 1e3 * warm.decision_seconds() / warm.column("length")
-    p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
-    missed = timed.column("missed_deadlines").tolist()
-    return DecisionTimes(
-        decision_ms_p50=p50,
-        decision_ms_p99=p99,
-        decision_ms_max=longest,
-        missed_deadlines=None if None in missed else sum(missed) / len(decisions),
-        first_call_ms=float(first_calls.max()) if len(first_calls) else None,
-        worlds=timed[0].worlds,
-        workers=timed[0].workers,
-        decision_seconds=_mean(timed.decision_seconds()),
-        reset_ms=float(np.median(resets)) if len(resets) else None,
-        first_decision_ms=float(np.median(first_decisions)) if len(first_decisions) else None,
-        control_step_ms=float(np.median(per_step)) if len(per_step) else p50,
-        construction_ms=construction_ms,
     )
 
 

@@ -5,7 +5,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from armctl.agents.costs import TrainingCost
 from armctl.runtime.provenance import with_looks
 from armctl.stats.correction import holm_adjusted
 from armctl.stats.difference import Difference
@@ -31,8 +30,17 @@ FEW_UNDETECTED = 0.02
 """Share of failures that may go undetected without a remark: 2 % of the possible returns."""
 
 
-def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqualified: Sequence[str] = ()) -> Table:
-    """Return a row for each policy. Environments without a success signal have no columns of it."""
+def policy_table(
+    env: str,
+    seed: int,
+    policies: Sequence[PolicySummary],
+    disqualified: Sequence[str] = (),
+    sources: Sequence[str] = (),
+) -> Table:
+    """Return a row for each policy. Environments without a success signal have no columns of it.
+
+    `sources` are the files of episodes that were played elsewhere: what they do not have has no column.
+    """
     by_success = any(policy.success for policy in policies)
     unbounded = any(policy.median_return for policy in policies)
     columns = [Column("policy"), Column("success"), Column("return"), Column("median return", optional=by_success)]
@@ -46,7 +54,7 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
             plain(policy.median_return),
             plain(policy.restricted_steps),
             plain(policy.length),
-            Cell(f"{policy.decision_ms_p50:.3f}", f"{policy.decision_ms_p99:.3f}"),
+            _times(policy),
             Cell(*policy.knowledge),
             percent(policy.clean_success),
             plain(policy.worst_decile),
@@ -54,35 +62,48 @@ def policy_table(env: str, seed: int, policies: Sequence[PolicySummary], disqual
         for policy in policies
     ]
     rows += [[Cell(name, DISQUALIFIED), *[Cell(UNKNOWN)] * (len(columns) - 1)] for name in disqualified]
+    left_out = ["length"] if by_success and not sources else [] if by_success else ["success", "clean", "steps"]
+    left_out += [] if unbounded else ["median return"]
+    if sources:
+        left_out += [column.heading for i, column in enumerate(columns) if all(row[i] == Cell(UNKNOWN) for row in rows)]
+    columns, rows = _without(left_out, columns, rows)
+    records = [dataclasses.asdict(policy) for policy in policies]
+    records += [{"policy": name, "disqualified": True} for name in disqualified]
+    title = f"{env}: {policies[0].planned} episodes of {listed_files(sources) if sources else f'seed {seed}'}"
     caption = (
         "With decisions in training (M: million), 95 % intervals, and median and 99th percentile of decision times."
     )
+    caption = "95 % intervals." if sources else caption
+    caption += _caption(policies, [column.heading for column in columns], disqualified)
+    return Table("policies", title, columns, rows, records, caption)
+
+
+def _caption(policies: Sequence[PolicySummary], headings: Sequence[str], disqualified: Sequence[str]) -> str:
+    """Return what explains the columns with these headings."""
+    unbounded, caption = "median return" in headings, ""
     if any(policy.trainings for policy in policies):
         caption += " [*]: the intervals of means are for other trainings and other episodes."
     if any(policy.spared for policy in policies):
         caption += " Spared: not affected by that disturbance, so in no pair and no verdict."
     if disqualified:
         caption += " Disqualified: wrote to the world."
-    if by_success:
-        caption += " Clean: without contacts and beyond no limit. Steps: to the goal; failures count as the time limit."
-    else:
-        caption += " Length: steps of an episode."
+    explained = {
+        "clean": "Clean: without contacts and beyond no limit.",
+        "steps": "Steps: to the goal; failures count as the time limit.",
+        "length": "Length: steps of an episode.",
+    }
+    caption += "".join(f" {text}" for heading, text in explained.items() if heading in headings)
     fewest = min(policy.episodes for policy in policies)
-    if fewest >= FEWEST and (share := _undetected_share(fewest)) > FEW_UNDETECTED and (by_success or not unbounded):
-        figures = " and ".join(["returns"] * (not unbounded) + ["steps"] * by_success)
+    figures = ["returns"] * ("return" in headings and not unbounded) + ["steps"] * ("steps" in headings)
+    if figures and fewest >= FEWEST and (share := _undetected_share(fewest)) > FEW_UNDETECTED:
         more = f"{_episodes_for(FEW_UNDETECTED)} would leave {100 * FEW_UNDETECTED:g} %"
         caption += (
-            f" Intervals of {figures} include rare failures, since {fewest} episodes without one do not exclude them "
-            f"in {100 * share:.1f} % of episodes; {more}."
+            f" Intervals of {' and '.join(figures)} include rare failures, since {fewest} episodes without one do not "
+            f"exclude them in {100 * share:.1f} % of episodes; {more}."
         )
     if unbounded:
         caption += " The return has no stated bounds: its mean has no interval, its median has one."
-    left_out = ("length",) if by_success else ("success", "clean", "steps")
-    columns, rows = _without((*left_out, *(() if unbounded else ("median return",))), columns, rows)
-    records = [dataclasses.asdict(policy) for policy in policies]
-    records += [{"policy": name, "disqualified": True} for name in disqualified]
-    title = f"{env}: {policies[0].planned} episodes of seed {seed}"
-    return Table("policies", title, columns, rows, records, caption)
+    return caption
 
 
 def _undetected_share(episodes: int) -> float:
@@ -96,14 +117,27 @@ def _episodes_for(share: float) -> int:
 
 
 def _training(policy: PolicySummary) -> str:
-    training = f"{trained(policy.training)} each" if policy.trainings else trained(policy.training)
+    training = f"{trained(policy)} each" if policy.trainings else trained(policy)
     return ", ".join((training, *(f"spared {name}" for name in policy.spared)))
 
 
-def trained(cost: TrainingCost) -> str:
+def _times(policy: PolicySummary) -> Cell:
+    times = (policy.decision_ms_p50, policy.decision_ms_p99)
+    if math.isnan(times[0]):
+        return Cell("unknown")
+    return Cell(*("" if math.isnan(spent) else f"{spent:.3f}" for spent in times))
+
+
+def listed_files(sources: Sequence[str]) -> str:
+    """Return the names of files, of many the first and their number."""
+    return ", ".join(sources) if len(sources) < 4 else f"{sources[0]} and {len(sources) - 1} other files"
+
+
+def trained(policy: PolicySummary) -> str:
     """Return the cost of a policy's training and of its teachers', in a few characters."""
+    cost = policy.training
     if not cost.steps:
-        return "untrained"
+        return "untrained" if policy.kind in (None, "classical") else policy.kind
     cost = cost.total
     count = cost.decisions or cost.gradient_steps or cost.steps
     short = f"{count / 1e6:.3g} M" if count >= 999_500 else f"{count:,}"

@@ -1,0 +1,121 @@
+"""Verbs for results that armctl did not play: `judge`, and `log` for trials by hand."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from armctl.cli.app import verb
+from armctl.cli.options import Format, Overwrite, TableFormat, print_document
+
+
+class FailIf(StrEnum):
+    """Outcomes that a command may exit with status 1 for."""
+
+    WORSE = "worse"
+    UNDECIDED = "undecided"
+    EQUIVALENT = "equivalent"
+    BETTER = "better"
+
+
+def _column(field: str, text: str) -> Any:
+    option = typer.Option(f"--{field}-column", metavar="NAME", help=text, rich_help_panel="Columns")
+    return Annotated[str | None, option]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgeRequest:
+    """Options of `judge`."""
+
+    files: Annotated[list[Path], typer.Argument(help="Files or folders of results.", metavar="FILES...")]
+    baseline: Annotated[
+        str | None, typer.Option(metavar="POLICY", help="Compare all other policies with this one.",
+                                 show_default="the two best with each other"),
+    ] = None  # fmt: skip
+    fail_if: Annotated[
+        list[FailIf] | None,
+        typer.Option(
+            metavar="OUTCOME",
+            help="Exit with status 1 if a policy is `worse`, `undecided`, `equivalent` or `better` against the "
+            "`--baseline`; can be repeated.",
+        ),
+    ] = None
+    margin: Annotated[
+        float, typer.Option(metavar="POINTS", help="Success that differs by less, in percent, counts as equivalent.")
+    ] = 2.0
+    learned: Annotated[
+        list[str] | None, typer.Option(metavar="POLICY", help="Policy that was trained; can be repeated.")
+    ] = None
+    unpaired: Annotated[
+        bool, typer.Option("--unpaired", help="Equal seeds or episode numbers are not the same initial conditions.")
+    ] = False
+    success_return: Annotated[
+        float | None, typer.Option(metavar="RETURN", help="Return from which on an episode counts as a success.")
+    ] = None
+    return_bounds: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="LOW HIGH", help="Least and largest possible return: then means have tests."),
+    ] = None
+    time_limit: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Time limit of a trial: a failure counts as that long.")
+    ] = None
+    max_steps: Annotated[
+        int | None, typer.Option(metavar="N", help="Most steps of an episode: a failure counts as that many.")
+    ] = None
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the tables and report.html.")] = None
+    overwrite: Overwrite = False
+    badge: Annotated[bool, typer.Option("--badge", help="Print one line of Markdown for each pair only.")] = False
+    policy_column: _column("policy", "Policy.") = None  # type: ignore[valid-type]
+    success_column: _column("success", "Success: yes or no.") = None  # type: ignore[valid-type]
+    return_column: _column("return", "Return of the episode, or any score.") = None  # type: ignore[valid-type]
+    time_column: _column("time", "Time, s.") = None  # type: ignore[valid-type]
+    steps_column: _column("steps", "Steps.") = None  # type: ignore[valid-type]
+    episode_column: _column("episode", "Number of the episode or initial condition.") = None  # type: ignore[valid-type]
+    seed_column: _column("seed", "Seed of the episode.") = None  # type: ignore[valid-type]
+    task_column: _column("task", "Task.") = None  # type: ignore[valid-type]
+    condition_column: _column("condition", "Condition.") = None  # type: ignore[valid-type]
+    training_seed_column: _column("training-seed", "Seed of the training.") = None  # type: ignore[valid-type]
+    table_format: Format = TableFormat.TABLE
+
+
+@verb
+def judge(request: JudgeRequest) -> None:
+    """Judge results that exist: whether a policy is better, by how much, and how certain that is.
+
+    Reads CSV and other tables with a row for each episode, LeRobot's `eval_info.json`, Stable-Baselines3's
+    `evaluations.npz` and Monitor files, rl-zoo's logs, vla-eval's and robo-evals' JSON, and armctl's results:
+    `armctl judge old.csv new.csv --baseline old`. Columns are found by their usual names, or named. Files that are not
+    clear are refused with the line and the reason.
+    """
+    from armctl.core.errors import ConfigurationError
+    from armctl.judging import judge
+
+    fail_if = set(request.fail_if or ())
+    if fail_if and request.baseline is None:
+        raise ConfigurationError("--fail-if needs a --baseline, against which a policy is better or worse")
+    columns = {
+        name.removesuffix("_column"): heading
+        for name, heading in vars(request).items()
+        if name.endswith("_column") and heading is not None
+    }
+    terms = {
+        name: getattr(request, name)
+        for name in ("baseline", "unpaired", "success_return", "return_bounds", "time_limit", "max_steps")
+    }
+    judgement = judge(
+        request.files, columns, learned=tuple(request.learned or ()), margin=request.margin / 100, **terms
+    )
+    if request.badge:
+        print(judgement.badge)
+    else:
+        console = print_document(judgement.document(), request.table_format)
+    if request.out is not None:
+        from armctl.report.judgement import write_judgement
+
+        report = write_judgement(judgement, request.out, request.overwrite)
+        if not request.badge:
+            console.print(f"{report} is the report.", soft_wrap=True)
+    if judgement.fails(fail_if):
+        raise typer.Exit(1)

@@ -1,0 +1,287 @@
+"""Trials as episodes of armctl's: cells of a task and a condition, pairs or not, and what is known of them."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import NoneType
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from armctl.agents.costs import TrainingCost
+from armctl.core.errors import ConfigurationError, unknown_name
+from armctl.core.options import Count, Positive, options
+from armctl.core.registration import bare_id
+from armctl.episodes.table import TYPES, EpisodeTable, Ragged, column
+from armctl.judging.trials import Trial, Trials
+from armctl.stats.difference import MARGIN
+from armctl.stats.intervals import Bounds
+from armctl.study.comparison import Comparison, concluded
+from armctl.verdict.facts import UNDECLARED, Facts, PolicyFacts
+
+RESULTS = "results"
+"""Name of the task where none is named."""
+ALL = "all"
+"""Name of all cells together."""
+UNPLAYED: Mapping[type, Any] = {str: "", float: math.nan, int: 0, bool: True}
+"""Values of what nobody measured, by type."""
+
+
+@options
+class Terms:
+    """What is said of the results besides the files."""
+
+    baseline: str | None = None
+    margin: Annotated[float, Field(gt=0, lt=1)] = MARGIN
+    learned: Sequence[str] = ()
+    """Policies that were trained."""
+    success_return: float | None = None
+    """Return from which on an episode counts as a success, where success is unknown."""
+    return_bounds: Bounds | None = None
+    time_limit: Positive | None = None
+    """s; a failure counts as that long."""
+    max_steps: Count | None = None
+    unpaired: bool = False
+    """True if equal episode numbers do not mean equal episodes."""
+    task: str = RESULTS
+
+
+@dataclass
+class _Cell:
+    """Trials of one task under one condition, by policy and training."""
+
+    name: str
+    members: dict[tuple[str, str], list[Trial]] = field(default_factory=dict)
+    paired: bool = False
+    left_out: int = 0
+    """Number of trials that not all policies have."""
+
+
+def comparisons_of(found: Trials, terms: Terms) -> dict[str, Comparison]:
+    """Return a comparison for each cell, by its name; if there are several and they are balanced, also `ALL`.
+
+    Raises `ConfigurationError`.
+    """
+    order = {source: i for i, source in enumerate(found.sources)}
+    first = dict[str, int]()
+    for trial in found.trials:
+        place = order[trial.source]
+        first[trial.policy] = min(place, first.get(trial.policy, place))
+    policies = sorted(first, key=lambda policy: (first[policy], natural(policy)))
+    for name in (*terms.learned, *([] if terms.baseline is None else [terms.baseline])):
+        if name not in policies:
+            raise unknown_name("policy in these results", name, policies)
+    found = _with_terms(found, terms)
+    cells = [_paired(cell, terms) for cell in _cells(found, policies, terms.task)]
+    if len(cells) > 1 and (pooled := _pooled(cells)) is not None:
+        cells.append(pooled)
+    return {cell.name: _concluded(cell, found, policies, terms) for cell in cells}
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """Return a key that sorts numbers in texts by their value."""
+    parts = re.findall(r"\d+|\D+", text.casefold())
+    return [(0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts]
+
+
+def _with_terms(found: Trials, terms: Terms) -> Trials:
+    """Return the trials with success by return, if that is said, and a time in place of a missing return."""
+    trials, notes = found.trials, dict(found.notes)
+    known = {name: trials[0]._asdict()[name] is not None for name in ("success", "episode_return", "time")}
+    if terms.success_return is not None and not known["success"]:
+        if not known["episode_return"]:
+            raise ConfigurationError("a success by return needs returns, and there are none")
+        limit, known["success"] = terms.success_return, True
+        trials = [trial._replace(success=trial.episode_return >= limit) for trial in trials]  # type: ignore[operator]
+        notes[f"A return from {limit:g} on counts as a success."] = []
+    if terms.return_bounds is not None and known["episode_return"]:
+        low, high = terms.return_bounds
+        for trial in trials:
+            if not low <= (trial.episode_return or 0.0) <= high:
+                raise ConfigurationError(
+                    f"{trial.where}: the return {trial.episode_return:g} is outside {low:g} to {high:g}"
+                )
+    if known["time"] and not known["episode_return"] and (terms.time_limit is not None or not known["success"]):
+        limit = math.inf if terms.time_limit is None else terms.time_limit
+        for trial in trials:
+            if trial.success is not False and (trial.time or 0.0) > limit:
+                raise ConfigurationError(f"{trial.where}: the time {trial.time:g} s is beyond the limit, {limit:g} s")
+        lost = f"; a failure counts as the time limit, {limit:g} s" if known["success"] else ""
+        notes[f"Return: minus the time in s, so that the higher one is faster{lost}."] = []
+        trials = [trial._replace(episode_return=-(limit if trial.success is False else trial.time)) for trial in trials]  # type: ignore[operator]
+    elif known["time"]:
+        notes |= {text: [] for text in _mean_times(trials, known["success"])}
+    changed = Trials(trials, found.sources, notes, found.training_steps, found.learned, found.time_limit)
+    return changed
+
+
+def _mean_times(trials: Sequence[Trial], scored: bool) -> list[str]:
+    """Return a remark with the mean time of each policy's successes, which is not tested."""
+    times: dict[str, list[float]] = {}
+    for trial in trials:
+        if trial.success or not scored:
+            times.setdefault(trial.policy, []).append(trial.time or 0.0)
+    means = ", ".join(f"{name} {math.fsum(values) / len(values):.3g} s" for name, values in sorted(times.items()))
+    return [f"Mean time of {'successes' if scored else 'episodes'}: {means}; it is not tested."] if means else []
+
+
+def _cells(found: Trials, policies: Sequence[str], task: str) -> list[_Cell]:
+    """Return the cells in the natural order of their names, their policies in the given order."""
+    cells: dict[tuple[str, str], _Cell] = {}
+    for trial in found.trials:
+        name = ", ".join(filter(None, (trial.task, trial.condition))) or task
+        cell = cells.setdefault((trial.task, trial.condition), _Cell(name))
+        cell.members.setdefault((trial.policy, trial.training_seed), []).append(trial)
+    for cell in cells.values():
+        order = sorted(cell.members, key=lambda member: (policies.index(member[0]), natural(member[1])))
+        cell.members = {member: cell.members[member] for member in order}
+    names = [cell.name for cell in cells.values()]
+    if len(set(names)) < len(names) or (len(names) > 1 and ALL in names):
+        raise ConfigurationError(
+            f"tasks and conditions need names that differ, and none is {ALL!r}: {', '.join(names)}"
+        )
+    return sorted(cells.values(), key=lambda cell: natural(cell.name))
+
+
+def _paired(cell: _Cell, terms: Terms) -> _Cell:
+    """Find out whether the policies of a cell played the same episodes, and put these into the same order."""
+    keys = {member: _keys(trials) for member, trials in cell.members.items()}
+    has_keys = all(all(any(key) for key in places) for places in keys.values())
+    fewest = min(keys.values(), key=len)
+    cell.paired = has_keys and not terms.unpaired and all(set(fewest) <= set(places) for places in keys.values())
+    for member, trials in cell.members.items():
+        kept = [trial for trial in trials if trial.key in fewest] if cell.paired else trials
+        cell.left_out += len(trials) - len(kept)
+        cell.members[member] = sorted(kept, key=lambda trial: (*map(natural, trial.key), _values(trial)))
+    counts: dict[str, set[int]] = {}
+    for (policy, _), trials in cell.members.items():
+        counts.setdefault(policy, set()).add(len(trials))
+    for policy, numbers in counts.items():
+        if len(numbers) > 1:
+            listed = ", ".join(map(str, sorted(numbers)))
+            raise ConfigurationError(
+                f"{cell.name}: the trainings of {policy} have {listed} episodes: as many are needed of each"
+            )
+    return cell
+
+
+def _keys(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
+    """Return the places of a policy's episodes by what identifies them. Raise `ConfigurationError` for one twice."""
+    places: dict[tuple[str, str], str] = {}
+    for trial in trials:
+        if any(trial.key) and trial.key in places:
+            name = " of ".join(
+                f"{kind} {text}" for kind, text in (("episode", trial.episode), ("seed", trial.seed)) if text
+            )
+            hint = "" if trial.episode else (
+                ": if it is the seed of a training, say --training-seed-column; if its trials have numbers, name their "
+                "column with --episode-column"
+            )  # fmt: skip
+            raise ConfigurationError(
+                f"{trial.where}: {name} of {trial.policy} is there before, in {places[trial.key]}{hint}"
+            )
+        places[trial.key] = trial.where
+    return places
+
+
+def _values(trial: Trial) -> tuple[float, ...]:
+    scores = (trial.success, trial.episode_return, trial.time, trial.steps, trial.decision_ms)
+    return tuple(-math.inf if value is None else float(value) for value in scores)
+
+
+def _pooled(cells: Sequence[_Cell]) -> _Cell | None:
+    """Return all cells as one; None unless all have the same policies, and each as many episodes of each."""
+    pooled = _Cell(ALL, {member: [] for member in cells[0].members}, all(cell.paired for cell in cells))
+    for cell in cells:
+        if list(cell.members) != list(pooled.members) or len({len(trials) for trials in cell.members.values()}) > 1:
+            return None
+        for member, trials in cell.members.items():
+            pooled.members[member] += trials
+    return pooled
+
+
+def _concluded(cell: _Cell, found: Trials, policies: Sequence[str], terms: Terms) -> Comparison:
+    """Return the comparison of a cell."""
+    trainings = {policy: [seed for name, seed in cell.members if name == policy] for policy in policies}
+    names = {
+        (policy, seed): f"{policy}[{seed}]" if len(seeds) > 1 else policy
+        for policy, seeds in trainings.items()
+        for seed in seeds
+    }
+    groups = {
+        f"{policy}[*]": [names[policy, seed] for seed in seeds] for policy, seeds in trainings.items() if len(seeds) > 1
+    }
+    everything = [trial for trials in cell.members.values() for trial in trials]
+    unknown = [
+        name for name, known in (
+            ("return", all(trial.episode_return is not None for trial in everything)),
+            ("steps", all(trial.steps is not None for trial in everything)),
+            ("decision_ms", all(trial.decision_ms is not None for trial in everything)),
+        ) if not known
+    ]  # fmt: skip
+    notes = found.remarks
+    if cell.left_out:
+        notes.append(f"{cell.left_out} episodes that not all policies have are left out.")
+    baseline = terms.baseline if terms.baseline in trainings else None
+    limit = terms.max_steps or found.time_limit
+    longest = max((trial.steps or 0 for trial in everything), default=0)
+    if limit is not None and longest > limit:
+        raise ConfigurationError(f"an episode has {longest} steps, more than the largest number, {limit}")
+    facts = Facts(
+        env_options={}, policy_seed=0, planned=max(map(len, cell.members.values())),
+        policies={names[member]: _policy_facts(member[0], found, terms) for member in cell.members},
+        return_bounds=_bounds(terms, unknown), time_limit=None if "steps" in unknown else limit, control_period=None,
+        versions={}, machine={}, notes=notes, failures={},
+        baseline=f"{baseline}[*]" if f"{baseline}[*]" in groups else baseline,
+        margin=terms.margin, real_time=None, groups=groups, disqualified=[], interrupted=False, resumed=0,
+        paired=cell.paired, sources=found.sources, unknown=unknown,
+    )  # fmt: skip
+    table = _table(cell, names, unknown)
+    identity = {"env": cell.name, "seed": 0, "policies": list(names.values())}
+    return concluded(identity, {}, facts, table, [])
+
+
+def _bounds(terms: Terms, unknown: Sequence[str]) -> Bounds | None:
+    if "return" in unknown:
+        return None
+    if terms.return_bounds is None and terms.time_limit is not None:
+        return -terms.time_limit, 0.0
+    return terms.return_bounds
+
+
+def _policy_facts(policy: str, found: Trials, terms: Terms) -> PolicyFacts:
+    steps = found.training_steps.get(policy, 0)
+    learned = steps > 0 or policy in found.learned or policy in terms.learned
+    kind = "learned" if learned else "classical" if terms.learned else UNDECLARED
+    return PolicyFacts(UNDECLARED, TrainingCost(steps), None, (), kind=kind)
+
+
+def _table(cell: _Cell, names: Mapping[tuple[str, str], str], unknown: Sequence[str]) -> EpisodeTable:
+    """Return the episodes, numbered from 0 on for each policy: equal numbers are equal episodes if they are pairs."""
+    trials = [(names[member], k, trial) for member, trials in cell.members.items() for k, trial in enumerate(trials)]
+    n = len(trials)
+    scored = all(trial.success is not None for _, _, trial in trials)
+    outcomes = {True: "success", False: "failure", None: "finished"}
+    known: dict[str, list[Any]] = {
+        "policy": [name for name, _, _ in trials],
+        "env": [bare_id(cell.name)] * n,
+        "episode": [k for _, k, _ in trials],
+        "outcome": [outcomes[trial.success] for _, _, trial in trials],
+        "success": [trial.success if scored else None for _, _, trial in trials],
+        "total_reward": [math.nan if "return" in unknown else trial.episode_return for _, _, trial in trials],
+        "length": [0 if "steps" in unknown else trial.steps for _, _, trial in trials],
+        "worlds": [1] * n,
+        "workers": [1] * n,
+    }
+    columns: dict[str, NDArray[Any]] = {}
+    for name, kinds in TYPES.items():
+        (kind,) = kinds - {NoneType}
+        columns[name] = column(name, known.get(name, [None if NoneType in kinds else UNPLAYED[kind]] * n))
+    times = [] if "decision_ms" in unknown else [trial.decision_ms for _, _, trial in trials]
+    return EpisodeTable.of_columns(
+        columns, [()], np.zeros(n, np.intp), Ragged.of(np.empty(0), [0] * n),
+        Ragged.of(np.array(times, float), [len(times) // n] * n),
+    )  # fmt: skip

@@ -1,0 +1,29 @@
+"""armctl's own results folders: the episodes in their stores."""
+
+from pathlib import Path
+
+from armctl.episodes.stored import UNDISTURBED
+from armctl.judging.rows import Rows
+from armctl.study.names import SUITE
+from armctl.study.results import read_study
+
+COLUMNS = {"policy": "policy", "episode": "episode", "seed": "seed", "success": "success", "return": "total_reward",
+           "steps": "length"}  # fmt: skip
+
+
+def read(folder: Path) -> list[Rows]:
+    """Read the episodes of all cells of a results folder. Raises `ResultsError`."""
+    study, parts = read_study(folder), []
+    for name, comparison in study.cells.items():
+        task, _, setting = name.rpartition("/") if study.kind == SUITE else ("", "", name)
+        counted = list(comparison.counted.values())
+        columns = [[value for table in counted for value in table.column(field).tolist()] for field in COLUMNS.values()]
+        values = list(map(list, zip(*columns, strict=True)))
+        constants = {"task": task or comparison.env} | ({} if setting == UNDISTURBED else {"condition": setting})
+        parts.append(
+            Rows(
+                source=str(folder), headings=list(COLUMNS), values=values, places=range(1, len(values) + 1),
+                unit="row", known=True, constants=constants, time_limit=comparison.facts.time_limit,
+            )
+        )  # fmt: skip
+    return parts

@@ -1,0 +1,143 @@
+"""Trials: the rows of all files, as one list of episodes with what is known of each."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from armctl.core.errors import ConfigurationError
+from armctl.judging.columns import SCORES, columns_of, require, used_in_words
+from armctl.judging.rows import Rows
+from armctl.judging.typed import NAMES, typed_columns
+from armctl.verdict.summary_tables import listed_files
+
+MAX_TRIALS = 5_000_000
+
+
+class Trial(NamedTuple):
+    """One episode of one policy."""
+
+    policy: str
+    task: str
+    condition: str
+    training_seed: str
+    seed: str
+    episode: str
+    success: bool | None
+    episode_return: float | None
+    time: float | None
+    steps: int | None
+    decision_ms: float | None
+    source: str
+    place: str
+    """Line of the file, in words."""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What identifies the episode among those of a policy in a cell."""
+        return self.seed, self.episode
+
+    @property
+    def where(self) -> str:
+        """File and line."""
+        return f"{self.source}, {self.place}"
+
+
+@dataclass
+class Trials:
+    """All trials, and what holds for all of a policy's."""
+
+    trials: list[Trial] = field(default_factory=list)
+    sources: list[str] = field(default_factory=list)
+    notes: dict[str, list[str]] = field(default_factory=dict)
+    """What was assumed, with the files that it is about, if it is not about all."""
+    training_steps: dict[str, int] = field(default_factory=dict)
+    learned: set[str] = field(default_factory=set)
+    time_limit: int | None = None
+    """Largest number of steps of an episode, if the files say so."""
+
+    def note(self, text: str, source: str | None = None) -> None:
+        """Keep what was assumed."""
+        self.notes.setdefault(text, []).extend([] if source is None else [source])
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was assumed, each once."""
+        return [
+            f"{listed_files(list(dict.fromkeys(sources)))}: {text}" if sources else text
+            for text, sources in self.notes.items()
+        ]
+
+
+def trials_of(parts: Sequence[Rows], chosen: Mapping[str, str], default_policies: Mapping[str, str]) -> Trials:
+    """Return the trials of all rows. `default_policies` are names by file, for files that name no policy.
+
+    Raises `ConfigurationError` with file, line and reason for everything that is not clear.
+    """
+    result = Trials()
+    columns = [columns_of(rows, chosen) for rows in parts]
+    for rows, places in zip(parts, columns, strict=True):
+        require(rows, places)
+        if not rows.values:
+            raise ConfigurationError(f"{rows.source} has no episode: nothing follows the names of its columns")
+    scores = [name for name in SCORES if all(name in places for places in columns)]
+    if not scores:
+        own = [f"{rows.source}: {', '.join(set(SCORES) & set(at))}" for rows, at in zip(parts, columns, strict=True)]
+        raise ConfigurationError(f"the files share neither success, nor return, nor time: {'; '.join(own)}")
+    for rows, places in zip(parts, columns, strict=True):
+        left_out = [name for name in SCORES if name in places and name not in scores]
+        if left_out:
+            result.note(f"{' and '.join(left_out)} not used, as not all files have it.", rows.source)
+        kept = {name: place for name, place in places.items() if name not in left_out}
+        values, notes = typed_columns(rows, kept, default_policies.get(rows.source, rows.source))
+        said = "" if rows.known else used_in_words(rows, kept)
+        for note in (*rows.notes, *([f"{said}."] if said else []), *notes):
+            result.note(note, rows.source)
+        _add(result, rows, values)
+    _merge_spellings(result)
+    return result
+
+
+def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> None:
+    """Add the trials of one file."""
+    if rows.source not in result.sources:
+        result.sources.append(rows.source)
+    none = [None] * len(rows.values)
+    names = zip(*(values.get(name, [""] * len(none)) for name in NAMES), strict=True)
+    measures = zip(*(values.get(name, none) for name in ("return", "time", "steps", "decision_ms")), strict=True)
+    successes = values.get("success", [(None,)] * len(none))
+    for name, success, measured, place in zip(names, successes, measures, rows.places, strict=True):
+        for won in success:
+            result.trials.append(Trial._make((*name, won, *measured, rows.source, f"{rows.unit} {place}")))
+    for policy, steps in zip(values["policy"], values.get("training_steps", none), strict=True):
+        if steps:
+            result.training_steps[policy] = steps
+    if rows.constants.get("kind") == "learned":
+        result.learned |= set(values["policy"])
+    if len(result.trials) > MAX_TRIALS:
+        raise ConfigurationError(f"{rows.source}: there are more than {MAX_TRIALS:,} episodes")
+    if rows.time_limit is not None:
+        result.time_limit = max(rows.time_limit, result.time_limit or 0)
+
+
+def _merge_spellings(result: Trials) -> None:
+    """Take names that differ in capitals only for one, and say so."""
+    for name in ("policy", "task", "condition"):
+        spellings: dict[str, Counter[str]] = {}
+        for text, count in Counter(getattr(trial, name) for trial in result.trials).items():
+            spellings.setdefault(text.casefold(), Counter())[text] = count
+        merged: dict[str, str] = {}
+        for variants in spellings.values():
+            if len(variants) > 1:
+                best = min(variants, key=lambda text: (-variants[text], text))
+                merged |= dict.fromkeys(variants, best)
+                listed = " and ".join(map(repr, sorted(variants)))
+                result.note(f"{listed} count as one {name}, {best!r}.")
+        if merged:
+            result.trials = [
+                trial._replace(**{name: merged.get(getattr(trial, name), getattr(trial, name))})
+                for trial in result.trials
+            ]
+            if name == "policy":
+                result.learned = {merged.get(policy, policy) for policy in result.learned}
+                result.training_steps = {merged.get(p, p): steps for p, steps in result.training_steps.items()}

@@ -1,0 +1,89 @@
+"""Columns of rows as values of their types: names, success, numbers. Whatever is not clear is refused."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from armctl.core.errors import ConfigurationError
+from armctl.episodes.record import LARGEST_RETURN
+from armctl.judging.columns import SCORES
+from armctl.judging.rows import Rows
+from armctl.judging.values import counts, decimal_signs, is_empty, numbers, truth
+
+NUMBERS = ("return", "time", "steps", "decision_ms", "training_steps")
+NAMES = ("policy", "task", "condition", "training_seed", "seed", "episode")
+
+
+def typed_columns(
+    rows: Rows, columns: Mapping[str, int], default_policy: str
+) -> tuple[dict[str, list[Any]], list[str]]:
+    """Return the values of each field that is known, and what was assumed.
+
+    `success` is a list of values for each row, which may count several trials.
+
+    Raises `ConfigurationError` with file, line and reason for a value that is not clear.
+    """
+    cells: dict[str, list[Any]] = {name: [row[place] for row in rows.values] for name, place in columns.items()}
+    for name, value in ({"policy": default_policy} | dict(rows.constants)).items():
+        cells.setdefault(name, [value] * len(rows.values))
+    notes: list[str] = []
+    signs = decimal_signs(cell for name in NUMBERS for cell in cells.get(name, ()))
+    if len(signs) > 1:
+        raise ConfigurationError(
+            f"{rows.source}: both the comma ({signs[',']}) and the point ({signs['.']}) are used as decimal signs"
+        )
+    if "," in signs:
+        notes.append(f"the comma is the decimal sign, as in {signs[',']}.")
+    values = {name: _numbers(rows, name, cells[name], next(iter(signs), None)) for name in NUMBERS if name in cells}
+    values |= {name: _names(rows, name, cells[name]) for name in NAMES if name in cells}
+    if "success" in cells:
+        values["success"] = _successes(rows, cells["success"])
+        if any(len(each) > 1 for each in values["success"]):
+            notes.append("counts of successes, such as 17/20, stand for as many episodes each.")
+    return values, notes
+
+
+def _numbers(rows: Rows, name: str, cells: Sequence[Any], sign: str | None) -> list[Any]:
+    """Return the numbers of a column, None where there is none."""
+    label, values = name.replace("_", " "), numbers(cells, sign)
+    for i, value in enumerate(values):
+        if isinstance(value, str):
+            rows.refuse(i, f"{label}: {value}")
+        if value is None:
+            if name in SCORES:
+                rows.refuse(i, f"the {label} is empty: enter it, or remove the row")
+        elif not abs(value) <= LARGEST_RETURN:
+            rows.refuse(i, f"{label}: {value:g} is no number to compare")
+        elif value < 0 and name != "return":
+            rows.refuse(i, f"{label}: {value:g} is less than 0")
+        elif name == "steps" and value % 1:
+            rows.refuse(i, f"steps: {value:g} is not a whole number")
+    if name.endswith("steps"):
+        return [None if value is None else int(value) for value in values]
+    return values
+
+
+def _names(rows: Rows, name: str, cells: Sequence[Any]) -> list[str]:
+    """Return names without spaces around them; whole numbers without a point. A whole column may be empty."""
+    if name != "policy" and all(map(is_empty, cells)):
+        return [""] * len(cells)
+    texts = []
+    for i, cell in enumerate(cells):
+        if is_empty(cell) and str(cell).strip().lower() != "none":
+            rows.refuse(i, f"the {name.replace('_', ' ')} is empty")
+        is_whole = isinstance(cell, float) and cell.is_integer()
+        texts.append(str(int(cell)) if is_whole else " ".join(str(cell).split()))
+    return texts
+
+
+def _successes(rows: Rows, cells: Sequence[Any]) -> list[tuple[bool, ...]]:
+    """Return the success of each row, or of the several trials that it counts."""
+    successes: list[tuple[bool, ...]] = []
+    for i, cell in enumerate(cells):
+        try:
+            if is_empty(cell):
+                raise ValueError("success is empty: enter yes or no, or remove the row")
+            won, trials = counts(cell) or (int(truth(cell)), 1)
+            successes.append((True,) * won + (False,) * (trials - won))
+        except ValueError as error:
+            rows.refuse(i, str(error))
+    return successes

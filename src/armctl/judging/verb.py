@@ -1,0 +1,63 @@
+"""Judges results made anywhere: `judge` reads episodes, and returns the verdict on them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from armctl.core.errors import ConfigurationError, unknown_name
+from armctl.core.options import make_options
+from armctl.episodes.stored import STORE
+from armctl.judging.cells import ALL, Terms, comparisons_of
+from armctl.judging.columns import FIELDS
+from armctl.judging.frames import rows_of_frame
+from armctl.judging.read import files_of, policy_names, read_file
+from armctl.judging.result import Judgement
+from armctl.judging.trials import trials_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def judge(
+    results: "str | Path | Sequence[str | Path] | pd.DataFrame",
+    columns: Mapping[str, str] | None = None,
+    **terms: Any,
+) -> Judgement:
+    """Return the verdict on episodes that exist: in files, in folders of files, or in a frame with a row for each.
+
+    Files are CSV, TSV, Parquet, JSON or JSON lines with a row for each episode, LeRobot's `eval_info.json`, vla-eval's
+    and robo-evals' JSON, Stable-Baselines3's `evaluations.npz` and Monitor files, or folders of such or of armctl's
+    results. A row has at least a policy, unless its file is all of one policy, and one of success, return and time.
+    Columns are found by their usual names (`armctl.judging.columns.FIELDS`); `columns` names others, by field. `terms`
+    are the fields of `armctl.judging.cells.Terms`, such as `baseline="old"`.
+
+    Policies with equal episodes (task, condition, seed, episode) are compared in pairs, others as separate samples;
+    several trainings of a policy are one learner; each task and condition has its own verdict. What was assumed is
+    among the notes, and what is unknown in no verdict.
+
+    Raises `ConfigurationError`, with file, line and reason, for everything that is not clear.
+    """
+    given, chosen = make_options(Terms, terms), dict(columns or {})
+    for name in chosen:
+        if name not in FIELDS:
+            raise unknown_name("field of a trial", name, FIELDS)
+    if not isinstance(results, str | Path | Sequence):
+        parts, defaults = [rows_of_frame(results)], {"the frame": "the frame"}
+    else:
+        paths = [results] if isinstance(results, str | Path) else [*results]
+        if not paths:
+            raise ConfigurationError("there is nothing to judge: name files or folders of results")
+        own = [Path(path) for path in paths if (Path(path) / STORE).is_file()]
+        files = files_of(path for path in paths if Path(path) not in own)
+        parts = [rows for file in files for rows in read_file(file)]
+        if own:
+            from armctl.judging.formats.own import read
+
+            parts += [rows for folder in own for rows in read(folder)]
+        defaults = policy_names(files)
+    found = trials_of(parts, chosen, defaults)
+    if len({trial.policy for trial in found.trials}) == 1:
+        found.note("There is one policy only: name the files of another one too.")
+    cells = comparisons_of(found, given)
+    overall = cells.pop(ALL, None) if len(cells) > 1 else next(iter(cells.values()))
+    return Judgement(cells, overall)
