@@ -19,3 +19,11 @@ Each includes those before it."""
 def privilege_in_words(sees: str, foresight: Sequence[str] = ()) -> str:
     """Return what a policy sees and foresees, as tables write it; of an unknown privilege, its name."""
     return " + ".join([SEES.get(sees, sees), *(FORESIGHT.get(name, name) for name in foresight)])
+
+
+def privileges(by_name: Mapping[str, str]) -> str:
+    """Return a sentence about privileges, from `privilege_in_words` by policy; empty if they are all the same."""
+    if len(set(by_name.values())) < 2:
+        return ""
+    parts = (f"{name} ({privilege})" for name, privilege in by_name.items())
+    return f"Their privileges differ: {', '.join(parts)}."

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from armctl.core.lazy import on_first_use
 
 if TYPE_CHECKING:
+    from armctl.envs.sees import privileges
     from armctl.policies.configuration import (
         SUFFIX,
         PolicyConfiguration,
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
         policy_names,
     )
     from armctl.policies.policy import Actions, Controller, ControllersFailed, PerWorld, Plans, Policy, PolicyFactory
-    from armctl.policies.privilege import privileges
     from armctl.policies.trainings import expanded, is_seed_group, learners, training_card
     from armctl.policies.worlds import WorldsByInterface
 

@@ -1,6 +1,5 @@
 """Privileges as they are granted: a policy gets what it declares to see."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from armctl.core.errors import ConfigurationError, defined_at, unknown_name
@@ -63,11 +62,3 @@ def channels_read(policy: Any) -> tuple[str, ...]:
         if channel not in PERCEIVED:
             raise unknown_name("channel that a policy reads", channel, PERCEIVED)
     return tuple(reads)
-
-
-def privileges(by_name: Mapping[str, str]) -> str:
-    """Return a sentence about privileges, from `privilege_in_words` by policy; empty if they are all the same."""
-    if len(set(by_name.values())) < 2:
-        return ""
-    parts = (f"{name} ({privilege})" for name, privilege in by_name.items())
-    return f"Their privileges differ: {', '.join(parts)}."

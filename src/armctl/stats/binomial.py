@@ -4,7 +4,6 @@ import numpy as np
 import scipy
 
 from armctl.core.arrays import Array
-from armctl.stats.intervals import Bounds
 
 NEGLIGIBLE = 1e-8
 """Probability of the counts that are left out at either end."""
@@ -36,7 +35,13 @@ def quantile(tail: float, trials: Array, p: float) -> Array:
     return np.asarray(near + (cdf(near + 1, trials, p) <= tail))
 
 
-def clopper_pearson(successes: float, trials: int, confidence: float = 0.95) -> Bounds:
+def fair_coin_p(heads: int, tosses: int) -> float:
+    """Return the exact two-sided p-value for a fair coin; 1 without a toss."""
+    fewer = np.asarray(float(min(heads, tosses - heads)))
+    return min(1.0, 2 * float(cdf(fewer, tosses, 0.5))) if tosses else 1.0
+
+
+def clopper_pearson(successes: float, trials: int, confidence: float = 0.95) -> tuple[float, float]:
     """Return the exact interval of a probability (Clopper and Pearson 1934)."""
     tail, rest = (1 - confidence) / 2, trials - successes
     low = float(scipy.special.betaincinv(successes, rest + 1, tail)) if successes > 0 else 0.0

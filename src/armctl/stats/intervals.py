@@ -10,6 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
+from armctl.stats.binomial import clopper_pearson, fair_coin_p, quantile
 
 Bounds = tuple[float, float]
 """Least and largest value that is possible."""
@@ -57,8 +58,7 @@ def success_rate(successes: NDArray[np.bool_]) -> Estimate | None:
     """Return the success rate with the exact interval of Clopper and Pearson (1934); None without episodes."""
     if not len(successes):
         return None
-    interval = scipy.stats.binomtest(int(successes.sum()), len(successes)).proportion_ci(method="exact")
-    return Estimate(float(successes.mean()), float(interval.low), float(interval.high))
+    return Estimate(float(successes.mean()), *clopper_pearson(int(successes.sum()), len(successes)))
 
 
 @dataclass(frozen=True)
@@ -229,8 +229,8 @@ def median(values: Array) -> Estimate | None:
     value = float(np.median(values))
     if len(values) < FEWEST:
         return Estimate(value, None, None)
-    interval: Any = scipy.stats.quantile_test(values, p=0.5).confidence_interval(0.95)
-    return Estimate(value, float(interval.low), float(interval.high))
+    ordered, rank = np.sort(values), int(quantile(0.025, np.asarray(float(len(values))), 0.5))
+    return Estimate(value, float(ordered[rank]), float(ordered[-1 - rank]))
 
 
 def sign_of_difference(a: Array, b: Array) -> Array:
@@ -254,7 +254,7 @@ def paired_superiority(a: Array, b: Array) -> Superiority:
     """
     wins = (sign_of_difference(a, b) + 1) / 2
     decided = int((wins != 0.5).sum())
-    p = float(scipy.stats.binomtest(int((wins == 1).sum()), decided).pvalue) if decided else 1.0
+    p = fair_coin_p(int((wins == 1).sum()), decided)
     probability = bounded_mean(wins, (0.0, 1.0))
     assert probability is not None
     return Superiority(probability, p)

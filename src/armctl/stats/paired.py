@@ -4,16 +4,15 @@ import math
 from functools import lru_cache
 
 import numpy as np
-import scipy
 
 from armctl.core.arrays import Array
-from armctl.stats.binomial import clopper_pearson
+from armctl.stats.binomial import clopper_pearson, fair_coin_p
 from armctl.stats.intervals import Bounds, Estimate
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
     """Return McNemar's exact two-sided p-value (1947) for equal success, from the episodes that only a or b won."""
-    return float(scipy.stats.binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+    return fair_coin_p(only_a, only_a + only_b)
 
 
 @lru_cache(maxsize=10_000)
