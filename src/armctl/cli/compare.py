@@ -97,7 +97,22 @@ def checked_points(points: float) -> float:
 class CompareRequest(TaskRequest):
     """Options of `compare`."""
 
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays.")] = 200
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Episodes that every policy plays.", show_default="200")
+    ] = None
+    until: Annotated[
+        str | None,
+        typer.Option(
+            metavar="decided",
+            help="Stop when every pair of the verdict is better, worse or equivalent, judged by a test that holds at "
+            "any number of episodes.",
+            show_default="all episodes are played",
+        ),
+    ] = None
+    at_most: Annotated[
+        int | None,
+        typer.Option(min=1, help="Episodes that every policy plays at most, with --until.", show_default="500"),
+    ] = None
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
@@ -125,6 +140,15 @@ class CompareRequest(TaskRequest):
     )
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False
 
+    @property
+    def num_episodes(self) -> int:
+        """Number of episodes, or the largest one. Raises `ConfigurationError` for options that exclude each other."""
+        if self.until is None and self.at_most is not None:
+            raise ConfigurationError("--at-most is for --until decided: without it, --episodes is the number")
+        if self.until is not None and self.episodes is not None:
+            raise ConfigurationError("--episodes is a fixed number: with --until decided, --at-most limits it")
+        return (self.episodes or 200) if self.until is None else (self.at_most or 500)
+
 
 @verb
 def compare(request: CompareRequest) -> None:
@@ -133,11 +157,14 @@ def compare(request: CompareRequest) -> None:
     `"reach_bc[*]"` is all trainings of a recipe as one learner: the shipped one and its other training seeds, or for a
     path, `"runs/reach_ppo[*]"`, those that `armctl train` has made. `"reach_bc[1]"` is the one of training seed 1.
 
+    With `--until decided`, it stops when the verdict is decided, at 5 %: after few episodes if policies differ much.
+
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the comparison.
     A policy that raises an error, or returns an invalid action, loses that episode (`error`) and plays on; the exit
     status is then 1. One that fails before its first action in each of its first 3 episodes stops.
     """
     task_options = request.task_options  # before the imports, so that a misspelt one is told at once
+    num_episodes = request.num_episodes
     from armctl.study.plan import comparison_plan
 
     def plan(options: Any) -> "Plan":
@@ -146,8 +173,9 @@ def compare(request: CompareRequest) -> None:
             "margin": request.margin / 100,
             "real_time": request.real_time,
             "slow_down": request.slow_down,
+            "until": request.until,
         }
-        return comparison_plan(request.policies, request.env, request.episodes, request.seed, options)
+        return comparison_plan(request.policies, request.env, num_episodes, request.seed, options)
 
     _play(request, request.out, plan, "{0}/episodes.csv has the episodes, {0}/summary.json the tables.", request.report)
 

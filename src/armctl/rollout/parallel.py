@@ -50,6 +50,8 @@ class WorkerConfig:
     """Class of the worlds."""
     recording: Callable[[EpisodeVectorEnv], Any] | None = field(default=None, compare=False)
     """Wrapper of the worlds that records their episodes."""
+    alternating: bool = field(default=False, compare=False)
+    """True if all policies play in turns, so that a worker keeps each with its worlds."""
     maker: Any = field(init=False, compare=False)
     """Class or function of the script that makes the environment; None: it can be found by its name."""
     key: str = field(default_factory=lambda: uuid.uuid4().hex)
@@ -86,26 +88,24 @@ class RolloutBatch:
 
 
 def play_here(
-    policies: Mapping[str, Policy],
+    policies: Mapping[str, TimedPolicy],
     worlds: Mapping[str, EpisodeVectorEnv],
     seed: int,
     waiting: Mapping[str, Sequence[int]],
     lower_bound_steps: dict[int, float],
-    real_time: RealTime | None = None,
     finished: Collection[str] = (),
 ) -> Generator[RolloutBatch, None, None]:
     """Play each policy's `waiting` episodes in its `worlds`, and yield each as it ends.
 
-    `lower_bound_steps` is as in `rollouts`. In real time, policies have one world each. A policy that has `finished`
-    episodes before can play; one that cannot play at all stops (see `armctl.episodes.failures`).
+    `lower_bound_steps` is as in `rollouts`. A policy that has `finished` episodes before can play; one that cannot play
+    at all stops (see `armctl.episodes.failures`).
     """
     for name, policy in policies.items():
-        if not waiting[name]:
+        if not waiting.get(name):
             continue
         try:
             env = worlds[name]
-            timed = RealTimePolicy(policy, env, real_time, name) if real_time else policy
-            results = rollouts(timed, env, waiting[name], seed, name, lower_bound_steps)
+            results = rollouts(policy, env, waiting[name], seed, name, lower_bound_steps)
             for result in until_unplayable(results, name, () if name in finished else waiting[name]):
                 yield RolloutBatch(name, [result], remarks=tuple(env.unwrapped.remarks))
         except (PolicyFailed, EnvironmentFailed) as failure:
@@ -127,12 +127,12 @@ def play_in_workers(
     `actors` are the setting's policies, as made here in `worlds`. Of a policy that has failed, no more blocks are
     begun. Closing the iterator discards unfinished blocks. Raises `WorkersFailed`.
     """
-    first = {name: FirstEpisodes(name, () if name in finished else waiting[name]) for name in actors}
+    first = {name: FirstEpisodes(name, () if name in finished else episodes) for name, episodes in waiting.items()}
     failed: set[str] = set()
 
     def blocks() -> Iterator[Any]:
         for name in setting.policies:
-            for block in _blocks(waiting[name], setting.config.num_envs, engine):
+            for block in _blocks(waiting.get(name, ()), setting.config.num_envs, engine):
                 if name not in failed:
                     bounds = {episode: lower_bound_steps[episode] for episode in block if episode in lower_bound_steps}
                     yield name, block, bounds, real_time and real_time.of(name, block)
@@ -232,15 +232,15 @@ def failed(name: str, results: list[EpisodeResult], failure: PolicyFailed | Envi
 
 
 _present: dict[tuple[WorkerConfig, str], tuple[WorldsByInterface, EpisodeVectorEnv, TimedPolicy]] = {}
-"""The policy that plays in this worker at present, with its worlds."""
+"""The policies that play in this worker at present, each with its worlds: one, unless they play in turns."""
 
 
 def _actor(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
     """Return a policy in worlds of its own, in which no other one has begun an episode or written anything."""
     config, policy = setting.config, setting.policies[name]
     if (config, name) not in _present:
-        while _present:
-            _present.popitem()[1][0].close()
+        for other in [other for other in _present if not (config.alternating and other[0] == config)]:
+            _present.pop(other)[0].close()
         if config.maker is not None:  # another process has another script
             vars(sys.modules["__main__"]).setdefault(config.env.rpartition(":")[2], config.maker)
         interfaces = config.interfaces(config.env, config.num_envs, config.env_options, threads=1)

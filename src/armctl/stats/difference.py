@@ -43,6 +43,19 @@ class Simultaneous:
 
 
 @dataclass(frozen=True)
+class SuccessIntervals:
+    """Difference in success with intervals that hold at any number of episodes."""
+
+    estimate: Estimate
+    narrow: Estimate
+    """Difference with the interval of the two one-sided tests, for all pairs of a comparison."""
+    simultaneous: Estimate
+
+    def __neg__(self) -> "SuccessIntervals":
+        return SuccessIntervals(-self.estimate, -self.narrow, -self.simultaneous)
+
+
+@dataclass(frozen=True)
 class Difference:
     """Policy a against policy b."""
 
@@ -75,6 +88,10 @@ class Difference:
     """Two-sided p-value for equal steps to the goal in the mean; None without `steps_difference`."""
     crossed: CrossedDifference | None = None
     """Difference in success, if a or b is several trainings and success is known."""
+    any_number: bool = False
+    """True if all p-values and intervals hold at any number of episodes, so that earlier looks change nothing."""
+    anytime: SuccessIntervals | None = None
+    """Intervals of success in that case, if success is known."""
 
     @property
     def episodes(self) -> int:
@@ -89,10 +106,10 @@ class Difference:
     def success_among(self, num_comparisons: int) -> Estimate | None:
         """Return the difference in success with an interval that holds at once for so many pairs.
 
-        Over trainings, it holds for one pair, or for all of the comparison.
+        Over trainings, and at any number of episodes, it holds for one pair, or for all of the comparison.
         """
-        if self.crossed is not None:
-            return self.crossed.estimate if num_comparisons == 1 else self.crossed.simultaneous
+        if (intervals := self.crossed or self.anytime) is not None:
+            return intervals.estimate if num_comparisons == 1 else intervals.simultaneous
         if self.success_p is None:
             return None
         return self._difference_in_success(1 - UNCERTAINTY / num_comparisons)
@@ -124,6 +141,8 @@ class Difference:
         """
         if self.success_p is None:
             return False
+        if self.anytime is not None:
+            return within(self.anytime.narrow, margin)
         level = 1 - 2 * EQUIVALENCE / num_comparisons
         return within(self.crossed.ci90 if self.crossed else self._difference_in_success(level), margin)
 
@@ -137,6 +156,7 @@ class Difference:
             steps_difference=None if self.steps_difference is None else -self.steps_difference,
             superiority=replace(higher, probability=higher.probability.complement),
             crossed=None if self.crossed is None else -self.crossed,
+            anytime=None if self.anytime is None else -self.anytime,
             simultaneous=Simultaneous(
                 -wide.returns, wide.superiority.complement, None if wide.steps is None else -wide.steps
             ),

@@ -1,6 +1,6 @@
 """Plays a cell: every policy in the same episodes, each written as soon as it ends."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -13,11 +13,12 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import bare_id
 from armctl.envs import ERROR, RETURN_BOUNDS, EpisodeVectorEnv, ThirdPartyVectorEnv
 from armctl.episodes.failures import PolicyDisqualified
-from armctl.episodes.record import EpisodeResult, FailedEpisode
+from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import CellWriter, Store
 from armctl.episodes.stored import POLICY_SEED
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy, WorldsByInterface
+from armctl.rollout.decision_times import TimedPolicy
 from armctl.rollout.loop import build_timed, wrap_environment_errors
 from armctl.rollout.parallel import (
     RolloutBatch,
@@ -28,19 +29,23 @@ from armctl.rollout.parallel import (
     play_here,
     play_in_workers,
 )
-from armctl.rollout.real_time import check_real_time
+from armctl.rollout.real_time import RealTimePolicy, check_real_time
 from armctl.rollout.seeding import seed_notes
 from armctl.runtime.identity import identity
 from armctl.runtime.provenance import RunMeter, machine, versions
 from armctl.runtime.workers import WorkersFailed
 from armctl.stats.intervals import Bounds
 from armctl.study.comparison import Comparison, concluded
+from armctl.study.events import Events
 from armctl.study.plan import Cell, Plan
 from armctl.verdict.facts import Facts, PolicyFacts
+from armctl.verdict.sentences import is_decided
 
 NOT_AN_ARMCTL_TASK = (
     "{env} is not made of a task of armctl's: its minimum times, feasibility, contacts and clearances are unknown."
 )
+
+BlockPlayer = Callable[[Mapping[str, Sequence[int]], Collection[str]], Generator[RolloutBatch, None, None]]
 
 
 @dataclass
@@ -93,50 +98,6 @@ class Session:
     recorder: Recorder
 
 
-@dataclass
-class _Events:
-    """Failures, crashes and other events of a cell besides its episodes."""
-
-    failures: dict[str, str] = field(default_factory=dict)
-    tracebacks: dict[str, str] = field(default_factory=dict)
-    disqualified: list[str] = field(default_factory=list)
-    crashes: dict[str, FailedEpisode] = field(default_factory=dict)
-    """The first episode in which each policy failed."""
-    construction_ms: dict[str, float] = field(default_factory=dict)
-    interrupted: bool = False
-    remarks: dict[str, None] = field(default_factory=dict)
-    """Remarks on what the environment returned."""
-
-    def note(self, batch: RolloutBatch) -> None:
-        """Keep what a batch tells."""
-        self.remarks |= dict.fromkeys(batch.remarks)
-        if batch.failure:
-            self.failures[batch.policy] = batch.failure
-            self.tracebacks[batch.policy] = batch.traceback
-        if batch.disqualified:
-            self.disqualified.append(batch.policy)
-        for crash in (result for result in batch.results if isinstance(result, FailedEpisode)):
-            first = self.crashes.setdefault(crash.policy, crash)
-            self.crashes[crash.policy] = min(first, crash, key=lambda crash: crash.episode)
-
-    def note_crashes(self, results: EpisodeTable) -> None:
-        """Say in how many episodes each policy failed, and why in the first that was played now."""
-        for name, batch in results.by_policy().items():
-            episodes = batch.column("episode")[batch.column("outcome") == ERROR]
-            if not len(episodes):
-                continue
-            crash = self.crashes.get(name)
-            first = f"the first is episode {episodes.min()}"
-            if crash is not None:
-                first = f"episode {crash.episode}: {crash.message}"
-                self.tracebacks.setdefault(name, crash.traceback)
-            message = (
-                f"{name} raised an error, or returned an invalid action, in {len(episodes)} of {len(batch)} episodes, "
-                f"which count as failures; {first}"
-            )
-            self.failures[name] = "; ".join(filter(None, (self.failures.get(name), message)))
-
-
 @dataclass(frozen=True)
 class _Line:
     """Policies of a cell, as built in this process, and their worlds."""
@@ -165,39 +126,59 @@ class _Line:
         about = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.policies, self.env, real_time)
         return {**about, POLICY_SEED: str(self.policy_seed)}
 
-    def play(self, kept: EpisodeTable, lower_bound_steps: dict[int, float]) -> Iterator[RolloutBatch]:
-        """Play the episodes that are not among those that were `kept`."""
-        cell, plan, engine = self.cell, self.plan, self.plan.engine
+    def play(
+        self, kept: EpisodeTable, lower_bound_steps: dict[int, float], ends: Sequence[int]
+    ) -> Iterator[RolloutBatch | int]:
+        """Play the episodes that are not among those that were `kept`, in blocks; yield the end of each after it."""
         finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
-        numbers = np.arange(plan.episodes)
-        waiting = {name: np.setdiff1d(numbers, finished.get(name, [])).tolist() for name in self.policies}
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
         lower_bound_steps.update(zip(*lengths, strict=True))
+        play_block, playing, start = self._block_player(lower_bound_steps), set(finished), 0
+        names = [*self.policies]
+        for end in ends:
+            numbers = np.arange(start, end)
+            waiting = {name: np.setdiff1d(numbers, finished.get(name, [])).tolist() for name in names}
+            with closing(play_block(waiting, playing)) as batches:
+                for batch in batches:
+                    yield batch
+                    if batch.failure and batch.policy in names:
+                        names.remove(batch.policy)
+            start, playing = end, playing | set(names)
+            yield end
+
+    def _block_player(self, lower_bound_steps: dict[int, float]) -> BlockPlayer:
+        """Return a function that plays episodes by policy; it takes also the names of policies that have played."""
+        cell, plan, engine = self.cell, self.plan, self.plan.engine
         interfaces, recording = self.recorder.interfaces, self.recorder.recording
         if engine.is_local:
             worlds = {name: self.interfaces.of(policy) for name, policy in self.playing.items()}
             if recording is not None:
                 worlds = {name: recording(vec_env) for name, vec_env in worlds.items()}
-            return play_here(
-                self.policies, worlds, plan.seed, waiting, lower_bound_steps, cell.real_time, set(finished)
-            )
+            timed = {
+                name: RealTimePolicy(policy, worlds[name], cell.real_time, name)
+                if cell.real_time
+                else TimedPolicy(policy, worlds[name].num_envs)
+                for name, policy in self.policies.items()
+            }
+            return lambda waiting, finished: play_here(timed, worlds, plan.seed, waiting, lower_bound_steps, finished)
         config = WorkerConfig(
             cell.env, plan.num_envs_in(cell), dict(cell.env_options), plan.seed, self.policy_seed, engine.workers,
-            interfaces=interfaces, recording=recording,
+            interfaces=interfaces, recording=recording, alternating=plan.until_decided,
         )  # fmt: skip
         setting = Setting(config, self.playing)
-        return play_in_workers(
-            setting, self.policies, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, set(finished)
+        return lambda waiting, finished: play_in_workers(
+            setting, self.policies, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, finished
         )
 
-    def facts(self, events: _Events, notes: list[str], resumed: int) -> Facts:
+    def facts(self, events: Events, notes: list[str], resumed: int) -> Facts:
         """Return everything that is stored besides the episodes and runs."""
         cell, plan, env = self.cell, self.plan, self.env
         real_time = cell.real_time
         return Facts(
             env_options={name: str(value) for name, value in cell.env_options.items()},
             policy_seed=self.policy_seed,
-            planned=plan.episodes,
+            planned=events.decided_after or plan.episodes,
+            at_most=plan.episodes if plan.until_decided else None,
             policies={
                 name: PolicyFacts(
                     policy.sees,
@@ -239,7 +220,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         num_envs = plan.num_envs_in(cell)
         interfaces = recorder.interfaces(cell.env, num_envs if plan.engine.is_local else 1, cell.env_options)
         stack.callback(interfaces.close)
-        events = _Events()
+        events = Events()
         policies = _policies(cell, interfaces, session.policy_seed, events)
         line = _Line(cell, plan, session.policy_seed, recorder, interfaces, policies)
         notes = _notes(line, task)
@@ -254,9 +235,14 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         writer.forget(recorder.lost(writer.kept))
         for result in writer.kept:
             session.progress(cell, result)
-        _play(line, writer, task.lower_bound_steps, meter, events, session)
-        results = writer.episodes()
-        results = results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.policies))
+
+        def decided(episodes: int) -> bool:
+            results = _results(writer, line, events)
+            facts = line.facts(events, notes, len(writer.kept))
+            return is_decided(results[results.column("episode") < episodes], facts)
+
+        _play(line, writer, task.lower_bound_steps, meter, events, session, decided)
+        results = _results(writer, line, events)
         events.note_crashes(results)
         judged = min(map(len, results.by_policy().values()), default=0)
         runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
@@ -270,6 +256,12 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         return comparison
 
 
+def _results(writer: CellWriter, line: _Line, events: Events) -> EpisodeTable:
+    """Return the episodes of all policies that are not disqualified, sorted."""
+    results = writer.episodes()
+    return results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.policies))
+
+
 def _training_cost_of(policy: Policy) -> TrainingCost:
     """Return the cost of a policy's training: its steps are decisions, unless its card says otherwise."""
     steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
@@ -277,7 +269,7 @@ def _training_cost_of(policy: Policy) -> TrainingCost:
     return cost if isinstance(cost, TrainingCost) else TrainingCost(steps, minutes, steps or None)
 
 
-def _policies(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: _Events) -> dict[str, Policy]:
+def _policies(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: Events) -> dict[str, Policy]:
     """Return the policies, built before anything is reset; without any that write to the world."""
     policies = dict[str, Policy]()
     for name, policy in cell.players.items():
@@ -312,14 +304,22 @@ def _play(
     writer: CellWriter,
     lower_bound_steps: dict[int, float],
     meter: RunMeter,
-    events: _Events,
+    events: Events,
     session: Session,
+    decided: Callable[[int], bool],
 ) -> None:
-    """Write episodes until all are played, the workers are lost, or somebody interrupts."""
+    """Write episodes until all are played or it is decided, the workers are lost, or somebody interrupts."""
     in_workers = dict[str, float]()
+    judged = [run.judged for run in writer.runs if run.judged]
+    ends = line.plan.block_ends(int(writer.kept.column("episode").max(initial=-1)) + 1, judged)
     try:
-        with closing(line.play(writer.kept, lower_bound_steps)) as stream:  # type: ignore[type-var]
+        with closing(line.play(writer.kept, lower_bound_steps, ends)) as stream:  # type: ignore[type-var]
             for batch in stream:
+                if isinstance(batch, int):
+                    if batch < line.plan.episodes and decided(batch):
+                        events.decided_after = batch
+                        break
+                    continue
                 events.note(batch)
                 if (spent := batch.construction_ms) is not None:
                     in_workers[batch.policy] = max(spent, in_workers.get(batch.policy, 0.0))

@@ -33,6 +33,11 @@ UNBOUNDED = (
 )
 
 
+FIXED = (
+    "Intervals of single policies are for a fixed number of episodes; those of differences hold at any number of them."
+)
+
+
 @dataclass(repr=False)
 class Comparison(Displayed):
     """The result of a comparison. After an interrupt or a failure, it covers the finished episodes."""
@@ -82,6 +87,12 @@ class Comparison(Displayed):
         """Numbers of episodes after which earlier runs printed a verdict; the present verdict names them."""
         return earlier_looks(self.runs) if self.policies else []
 
+    @property
+    def stopped_of(self) -> int | None:
+        """Largest number of episodes of a comparison that was decided before that; None if it did not stop early."""
+        at_most = self.facts.at_most
+        return at_most if at_most is not None and self.facts.planned < at_most else None
+
     @cached_property
     def episodes(self) -> "pd.DataFrame":
         """One row per policy and episode, with the columns of `episodes.csv`. It is made on first use."""
@@ -111,7 +122,9 @@ class Comparison(Displayed):
         """Verdict on the better policy, by how much and at what cost; None for a single policy."""
         if len(self.policies) < 2:
             return None
-        return verdict(self.policies, self.differences, self.facts.baseline, self.facts.margin, self.looks)
+        return verdict(
+            self.policies, self.differences, self.facts.baseline, self.facts.margin, self.looks, self.stopped_of
+        )
 
     def document(self) -> Document:
         """Return the verdict, the tables and all remarks."""
@@ -167,7 +180,12 @@ def concluded(
     counted, _ = counted_results(results)
     by_return = bool(comparison.policies) and comparison.policies[0].success is None
     comparison.notes += [
+<<<<<<< HEAD
         *([] if facts.return_bounds or "return" in facts.unknown else [UNBOUNDED]),
+=======
+        *([] if facts.return_bounds else [UNBOUNDED]),
+        *([FIXED] if any(pair.any_number for pair in comparison.differences) else []),
+>>>>>>> bda94a8 (Comparisons may stop early: tests and intervals that hold at any number of episodes)
         *certificate_notes(results),
         *motion_notes(results, facts.control_period),
         *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),

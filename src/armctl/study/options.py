@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict
 
 from armctl.core.errors import unknown_name
 from armctl.envs import RETURN_BOUNDS
@@ -51,6 +51,10 @@ class ComparisonOptions(TaskOptions, total=False):
     """Difference in success, as a share, below which policies count as equivalent; 0.02 by default."""
     slow_down: float
     """Factor of the decision times, in real time."""
+    until: Literal["decided"] | None
+    """`decided`: play in blocks, and stop when every pair of the verdict is decided; `episodes` is then the most. What
+    is concluded holds at any number of episodes (see `armctl.stats.sequential`). By default, all episodes are played.
+    """
 
 
 def checked_options(options: Mapping[str, Any], kind: type) -> None:

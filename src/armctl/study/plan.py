@@ -1,7 +1,7 @@
 """Plan of a study: policies times cells, checked before anything is played."""
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from armctl.rollout.real_time import (
 )
 from armctl.runtime.engines import Engine, engine_of
 from armctl.stats.difference import MARGIN
+from armctl.stats.sequential import block_ends
 from armctl.study.levels import Disturbances, checked_levels, disturbance_specs
 from armctl.study.line_up import FULL, QUICK, default_policies, line_up, main_disturbances, unusable_agents
 from armctl.study.names import COMPARISON, FROM_UNDISTURBED, SUITE, SWEEP, setting_name, task_name
@@ -37,6 +38,10 @@ from armctl.study.options import (
 
 ALL = "all"
 """Name for all environments of all installed packages."""
+DECIDED = "decided"
+"""Condition at which a comparison may stop: its verdict is no longer undecided."""
+ONLY_PLAYER = "{name} plays alone, so that there is nothing to decide"
+NOT_FOR_TRAININGS = "of groups of trainings, no method holds at any number of episodes"
 ONE_TRAINING = "{group} is a single training, which says nothing of others by the same recipe."
 
 
@@ -110,6 +115,8 @@ class Plan:
     engine: Engine = field(default_factory=lambda: engine_of(1))
     baseline: str | None = None
     margin: float = MARGIN
+    until_decided: bool = False
+    """True if each cell stops when its verdict is decided, and `episodes` is the most."""
     quick: bool = False
     envs: Sequence[str] = ()
     """All environments that were requested."""
@@ -120,6 +127,16 @@ class Plan:
     def cells(self) -> list[Cell]:
         """Those of all tasks."""
         return [cell for task in self.tasks for cell in task.cells]
+
+    def block_ends(self, kept: int, judged: Iterable[int]) -> list[int]:
+        """Return the numbers of episodes after which a cell may stop, the last of which is all.
+
+        So many are `kept` of an earlier run, and so many were `judged` by earlier ones. They do not depend on when a
+        run was interrupted, nor on the number of worlds and workers.
+        """
+        if not self.until_decided:
+            return [self.episodes]
+        return [n for n in sorted({*block_ends(self.episodes), *judged}) if kept <= n <= self.episodes]
 
     def num_envs_in(self, cell: Cell) -> int:
         """Return the number of worlds that share a policy's calls: one if the world does not wait for decisions."""
@@ -138,6 +155,12 @@ def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options:
     baseline, margin = options.get("baseline"), options.get("margin", MARGIN)
     if baseline is not None and baseline not in (compared := learners(list(cell.players), cell.groups)):
         raise unknown_name("baseline among the compared policies", baseline, compared)
+    if (until := options.get("until")) not in (None, DECIDED):
+        raise unknown_name("condition to stop at (until)", str(until), [DECIDED])
+    if until and len(cell.players) < 2:
+        raise ConfigurationError(f"{ONLY_PLAYER.format(name=', '.join(cell.players))}: leave out --until {DECIDED}")
+    if until and cell.groups:
+        raise ConfigurationError(f"{', '.join(cell.groups)}: {NOT_FOR_TRAININGS}: leave out --until {DECIDED}")
     if not 0 < margin < 1:
         raise ConfigurationError(f"the margin is a difference in success between 0 and 1, not {margin:g}")
     real_time = real_time_of(options.get("real_time"), options.get("slow_down", 1.0), cell.env, shared["seed"])
@@ -146,7 +169,9 @@ def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options:
             check_measurable(shared["num_envs"], shared["engine"].workers)
         check_recorded(real_time, cell.players, episodes)
     task = TaskPlan(cell.env, [replace(cell, real_time=real_time)])
-    return Plan(COMPARISON, [task], **shared, baseline=baseline, margin=margin, envs=[cell.env])
+    return Plan(
+        COMPARISON, [task], **shared, baseline=baseline, margin=margin, until_decided=until == DECIDED, envs=[cell.env]
+    )
 
 
 def sweep_plan(

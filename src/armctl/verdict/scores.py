@@ -14,6 +14,7 @@ from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
 from armctl.stats.difference import Difference, paired_difference
 from armctl.stats.intervals import Bounds
+from armctl.stats.sequential import Scores, sequential_difference
 
 WITHIN_RANGE, WITHIN_SPEED = 1.01, 1.2
 """Largest use of a joint's range, and of its speed limit, in a clean episode: servos overshoot a little."""
@@ -80,8 +81,13 @@ def _score(name: str, results: EpisodeTable, limits: Limits) -> NDArray[Any]:
     return np.asarray(np.maximum(length, 1))  # a policy that failed at once had begun its first step
 
 
-def pairs_of(trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Limits) -> list[Difference]:
-    """Compare each two learners, given the results of their trainings, on the episodes that both played."""
+def pairs_of(
+    trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Limits, any_number: bool = False
+) -> list[Difference]:
+    """Compare each two learners, given the results of their trainings, on the episodes that both played.
+
+    With `any_number`, what is concluded holds at any number of episodes, except for groups of trainings.
+    """
     pairs = []
     for a, b in itertools.combinations(trained, 2):
         fewest = min(len(trained[a][0]), len(trained[b][0]))
@@ -93,5 +99,9 @@ def pairs_of(trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Li
         success = of("success") if scored else None
         steps = of("restricted_steps") if scored and limits.steps is not None else None
         returns, num_pairs = of("episode_return"), math.comb(len(trained), 2)
+        if any_number and len(trained[a]) == len(trained[b]) == 1:
+            scores = Scores(success, returns, steps)
+            pairs.append(sequential_difference(a, b, scores, limits.returns, limits.steps, num_pairs))
+            continue
         pairs.append(paired_difference(a, b, success, returns, steps, limits.returns, limits.steps, num_pairs))
     return pairs

@@ -7,13 +7,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from armctl.episodes.table import EpisodeTable
 from armctl.policies import policy_names, privileges
 from armctl.runtime.provenance import looks_in_words
 from armctl.stats.correction import AdjustedP, holm_adjusted
 from armctl.stats.difference import MARGIN, SIGNIFICANT, Difference, significant, within
 from armctl.stats.intervals import FEWEST, Estimate
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
-from armctl.verdict.summary import PolicySummary
+from armctl.verdict.facts import Facts
+from armctl.verdict.summary import PolicySummary, summarise
 from armctl.verdict.tables import UNKNOWN, p_value, points, size
 
 
@@ -56,13 +58,15 @@ def verdict(
     baseline: str | None = None,
     margin: float = MARGIN,
     looks: Sequence[int] = (),
+    at_most: int | None = None,
 ) -> Verdict:
     """Return the verdict on the best classical and the best learned policy, or on the two best, with their costs.
 
     With `baseline`, every other policy is compared with it instead. Policies that did not come with armctl are always
     named. The best have the highest success rate, or return where success is unknown. `margin` is the difference in
     success below which policies count as equivalent. `looks` are the numbers of episodes after which a verdict was
-    printed before. Policies that a disturbance does not affect are in no pair, and named at the end.
+    printed before, `at_most` the largest number of a comparison that stopped early. Policies that a disturbance does
+    not affect are in no pair, and named at the end.
     """
     fewest = min((pair.episodes for pair in differences), default=FEWEST)
     remarks = (*map(_physics_failed, policies), _not_tested(policies))
@@ -72,10 +76,24 @@ def verdict(
     pairs = verdict_pairs(policies, differences, baseline)
     if not pairs:
         return Verdict(_joined(*remarks))
-    first, *others = (_sentences(pair, margin, looks) for pair in pairs)
+    first, *others = (_sentences(pair, margin, _validity(pair, looks, at_most)) for pair in pairs)
     further = (sentence for sentences in others for sentence in sentences)
     context = _joined(*first[1:], *further, _effort(pairs[0]), _privileges(pairs[0]), _scope(pairs), *remarks)
     return Verdict(first[0], _decision_times(pairs[0]), context)
+
+
+def is_decided(results: EpisodeTable, facts: Facts) -> bool:
+    """Return True if no pair of the verdict would be undecided after these episodes of a cell."""
+    policies, differences = summarise(results, facts) if len(results) else ([], [])
+    pairs = verdict_pairs(policies, differences, facts.baseline)
+    fewest = min((pair.episodes for pair in differences), default=0)
+    return fewest >= FEWEST and bool(pairs) and all(_decided(pair, facts.margin) for pair in pairs)
+
+
+def _decided(pair: Pair, margin: float) -> bool:
+    if pair.p.success is not None:
+        return pair.p.success < SIGNIFICANT or pair.difference.equivalent(margin, pair.num_comparisons)
+    return bool(_earns_more(pair)) if pair.p.returns is not None else _by_sign(pair)
 
 
 def _joined(*sentences: str) -> str:
@@ -138,11 +156,19 @@ def _gain(pair: Difference) -> float:
     return next(filter(None, gains), 0.0)
 
 
-def _sentences(pair: Pair, margin: float, looks: Sequence[int]) -> list[str]:
+def _validity(pair: Pair, looks: Sequence[int], at_most: int | None) -> str:
+    """Return whether p and intervals hold after earlier looks, as the end of a sentence; empty without any."""
+    if not pair.difference.any_number:
+        return f"; {looks_in_words(looks)}" if looks else ""
+    stopped = f"stopped after {pair.first.planned:,} of at most {at_most:,} episodes: " if at_most else ""
+    return f"; {stopped}p and intervals hold at any number of episodes"
+
+
+def _sentences(pair: Pair, margin: float, validity: str) -> list[str]:
     """Return the difference in success, and if that is not significant, in steps; then that in return."""
     first, second, p = pair.first.policy, pair.second.policy, pair.p.success
     if p is None:
-        return [f"{_by_return(pair, looks)}."]
+        return [f"{_by_return(pair)}{validity}."]
     limit = f"{100 * margin:g} points"
     equivalent = pair.difference.equivalent(margin, pair.num_comparisons)
     steps, plan = _by_steps(pair), ""
@@ -158,9 +184,8 @@ def _sentences(pair: Pair, margin: float, looks: Sequence[int]) -> list[str]:
         plan = f"{_plan(pair, margin)}."
     if steps:
         sentence += f"; {steps}, p = {p_value(pair.p.steps)}{'' if _p(pair, p) in sentence else _family(pair)}"
-    caution = f"; {looks_in_words(looks)}" if looks else ""
     earns = _earns_more(pair)
-    return [f"{sentence}{caution}.", *filter(None, (plan, f"{earns}." if earns else ""))]
+    return [f"{sentence}{validity}.", *filter(None, (plan, f"{earns}." if earns else ""))]
 
 
 def _p(pair: Pair, p: float | None) -> str:
@@ -246,7 +271,13 @@ def _earns_more(pair: Pair) -> str:
     return f"{better.policy} earns {size(gain)} more return per episode than {other.policy}, p = {p_value(p)}"
 
 
-def _by_return(pair: Pair, looks: Sequence[int]) -> str:
+def _by_sign(pair: Pair) -> bool:
+    """Return True if one policy has the higher return in significantly more than half of the episodes."""
+    low, high = pair.difference.simultaneous.superiority.bounds
+    return pair.p.higher < SIGNIFICANT and not low <= 0.5 <= high
+
+
+def _by_return(pair: Pair) -> str:
     """Return which of two policies is better where success is unknown: by mean return, or else by the sign test."""
     first, second = pair.first.policy, pair.second.policy
     if pair.p.returns is not None:
@@ -260,9 +291,9 @@ def _by_return(pair: Pair, looks: Sequence[int]) -> str:
         family = f" (Holm, {pair.p.pairs} pairs)" if pair.p.pairs > 1 else ""
         test = f"sign test, p = {p_value(pair.p.higher)}{family}; ties count half"
         sentence = f"{first} has the higher return in {value:.0f} % [{low:.0f}, {high:.0f}] of episodes ({test})"
-        if pair.p.higher >= SIGNIFICANT or low <= 50 <= high:
+        if not _by_sign(pair):
             sentence = f"Undecided between {first} and {second}: {sentence}"
-    return f"{sentence}; {looks_in_words(looks)}" if looks else sentence
+    return sentence
 
 
 def _physics_failed(policy: PolicySummary) -> str:

@@ -14,7 +14,7 @@ from armctl.agents.costs import TrainingCost, mean_cost
 from armctl.envs import ERROR, UNSTABLE, privilege_in_words
 from armctl.episodes.table import EpisodeTable
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
-from armctl.runtime.provenance import Run
+from armctl.runtime.provenance import Run, earlier_looks
 from armctl.stats.difference import Difference
 from armctl.stats.intervals import Bounds, Estimate, bounded_mean, median, success_rate, worst_decile
 from armctl.stats.trainings import mean_over_trainings
@@ -161,11 +161,13 @@ def summarise(
     Each group of trainings counts as one policy; one of which a training has not finished an episode has no figures. If
     the possible returns are unknown, means of returns have neither intervals nor tests: no number of episodes tells
     what a disaster costs that none of them had. Pairs with a policy that a disturbance spares are left out. Times of
-    `runs` on different machines are not pooled.
+    `runs` on different machines are not pooled. What is concluded of pairs holds at any number of episodes if the
+    comparison could stop early, or an earlier run told a verdict.
     """
     counted, infeasible = counted_results(results)
     success = results.column("success")[results.column("outcome") != ERROR].tolist()
     scored = any(value is not None for value in success or results.column("success").tolist())
+    runs = list(runs)
     limits, machines = Limits(facts.return_bounds, facts.time_limit), Machines.of(runs, results)
     trained = by_learner(counted, facts.policies, facts.groups)
     summaries = []
@@ -195,7 +197,7 @@ def summarise(
             summary = _of_group(summary, trainings, scored, limits)
         summaries.append(summary)
     affected = {summary.policy: list(trained[summary.policy].values()) for summary in summaries if not summary.spared}
-    return summaries, pairs_of(affected, scored, limits)
+    return summaries, pairs_of(affected, scored, limits, facts.at_most is not None or bool(earlier_looks(runs)))
 
 
 def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int]:
