@@ -226,7 +226,8 @@ def priors(runs: int) -> Iterator[tuple[str, ...]]:
 SCHEDULES: dict[str, Callable[[], list[int]]] = {
     "10 each": lambda: [*range(10, MAX_EPISODES + 1, 10)],
     "50 each": lambda: [*range(50, MAX_EPISODES + 1, 50)],
-    "a quarter more each (chosen)": lambda: block_ends(MAX_EPISODES),
+    "10 each, or a tenth of all (chosen)": lambda: block_ends(MAX_EPISODES),
+    "a quarter more each": lambda: [min(MAX_EPISODES, round(10 * 1.25**k)) for k in range(26)],
     "half as many more each": lambda: [min(MAX_EPISODES, round(10 * 1.5**k)) for k in range(15)],
     "twice as many each": lambda: [min(MAX_EPISODES, 10 * 2**k) for k in range(9)],
 }

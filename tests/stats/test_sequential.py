@@ -1,5 +1,6 @@
 import math
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def capitals(values, bounds, mean):
 
 @pytest.mark.parametrize(("values", "bounds"), [(signs(0.2, 0.05, 60), SIGNS), (np.arange(25.0) % 7 - 1, (-3.0, 8.0))])
 def test_limits_are_the_means_that_were_never_refuted(values, bounds):
-    estimate, means = ConfidenceSequence(values, bounds).estimate(0.9), np.linspace(*bounds, 801)[1:-1]
+    estimate, means = ConfidenceSequence(values, bounds).estimate(0.9), np.linspace(bounds[0], bounds[1], 801)[1:-1]
     refuted = [capitals(values, bounds, mean).max() >= 20 for mean in means]
     mirrored = [capitals(-values, (-bounds[1], -bounds[0]), -mean).max() >= 20 for mean in means]
     inside = means[~np.array(refuted) & ~np.array(mirrored)]
@@ -126,9 +127,9 @@ def test_values_at_and_beyond_their_bounds():
 
 def pair_of(num_comparisons=1, bounds=(-100.0, 99.0), seed=0):
     rng = np.random.default_rng(seed)
-    won = rng.random(200) < 0.99, rng.random(200) < 0.8
-    steps = tuple(np.where(of, rng.integers(10, 20, 200), 100).astype(float) for of in won)
-    returns = tuple(np.where(of, 99 - step, -100.0) for of, step in zip(won, steps, strict=True))
+    won: Any = (rng.random(200) < 0.99, rng.random(200) < 0.8)
+    steps: Any = tuple(np.where(of, rng.integers(10, 20, 200), 100).astype(float) for of in won)
+    returns: Any = tuple(np.where(of, 99 - step, -100.0) for of, step in zip(won, steps, strict=True))
     fixed = paired_difference("a", "b", won, returns, steps, bounds, 100, num_comparisons)
     return sequential_difference("a", "b", Scores(won, returns, steps), bounds, 100, num_comparisons), fixed
 
@@ -169,7 +170,7 @@ def test_a_policy_that_failed_at_an_unknown_cost_has_no_mean_return():
 
 
 def test_blocks_grow_and_the_last_one_ends_at_the_most():
-    assert block_ends(500)[:4] == [10, 12, 15, 19]
+    assert block_ends(500)[:3] == [10, 20, 30]
     assert [block_ends(n)[-1] for n in (1, 9, 10, 11, 500)] == [1, 9, 10, 11, 500]
     assert block_ends(5) == [5]
     assert np.all(np.diff(block_ends(10_000)) > 0)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from armctl.study.results import read_comparison
 from ..printed import text_of
 from ..stores import timeless
 
-SHORT = {"max_episode_steps": 12}
-PLAYED = {"policies": ["random", "reach_ik"], "env_options": SHORT, "policy_seed": 1}
-UNTIL = {**PLAYED, "until": "decided", "episodes": 60}
+SHORT: Any = {"max_episode_steps": 12}
+PLAYED: Any = {"policies": ["random", "reach_ik"], "env_options": SHORT, "policy_seed": 1}
+UNTIL: Any = {**PLAYED, "until": "decided", "episodes": 60}
 HOLDS = "p and intervals hold at any number of episodes"
 
 
@@ -93,7 +94,7 @@ def test_policies_that_are_equivalent_are_decided_too():
 
 
 def test_a_comparison_with_an_earlier_look_holds_at_any_number_too(tmp_path):
-    alike = {"policies": {"a": "random", "b": "random"}, "env_options": SHORT, "out": tmp_path}
+    alike: Any = {"policies": {"a": "random", "b": "random"}, "env_options": SHORT, "out": tmp_path}
     first = compare(**alike, episodes=10)
     assert not first.differences[0].any_number
     second = compare(**alike, episodes=20)
@@ -135,14 +136,14 @@ def test_a_policy_that_cannot_play_does_not_hold_up_the_others():
 )
 def test_what_cannot_stop_early_is_refused(policies, options, words):
     with pytest.raises(ConfigurationError, match=words):
-        comparison_plan(policies, "armctl/ArmReach-v0", 20, 0, {"until": "decided", **options})
+        comparison_plan(policies, "armctl/ArmReach-v0", 20, 0, {"until": "decided", **options})  # type: ignore[typeddict-item]
 
 
 def test_blocks_do_not_depend_on_where_a_run_ended():
     plan = comparison_plan(["random", "reach_ik"], "armctl/ArmReach-v0", 100, 0, {"until": "decided"})
-    assert plan.block_ends(0, [])[:3] == [10, 12, 15]
+    assert plan.block_ends(0, [])[:3] == [10, 20, 30]
     assert plan.block_ends(11, []) == plan.block_ends(0, [])[1:]
-    assert plan.block_ends(20, [20])[0] == 20
+    assert plan.block_ends(25, [25])[0] == 25
     assert plan.block_ends(100, [100]) == [100]
     fixed = dataclasses.replace(plan, until_decided=False)
     assert fixed.block_ends(7, [3]) == [100]

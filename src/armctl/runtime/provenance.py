@@ -97,7 +97,12 @@ def earlier_looks(runs: Sequence[Run]) -> list[int]:
     The same episodes are seen once, but those that were overwritten are others.
     """
     looks = {run.judged for run in runs[:-1] if run.judged} - {run.judged for run in runs[-1:]}
-    return sorted(looks | {run.judged for run in runs if run.overwritten and run.judged})
+    return sorted(looks | {*overwritten_looks(runs)})
+
+
+def overwritten_looks(runs: Sequence[Run]) -> list[int]:
+    """Return the numbers of other episodes of every policy, overwritten since, after which a verdict was told."""
+    return sorted({run.judged for run in runs if run.overwritten and run.judged})
 
 
 def looks_in_words(looks: Sequence[int]) -> str:

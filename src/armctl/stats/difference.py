@@ -74,7 +74,7 @@ class Difference:
     """True if both played the same episodes."""
     success_p: float | None = None
     """Exact two-sided p-value for equal success: McNemar's (1947), or without pairs that of `unconditional`; of several
-    trainings, that of `crossed`. None if success is unknown."""
+    trainings, that of `crossed`; one of `any_number` of episodes holds for all of them. None if success is unknown."""
     wins: tuple[int, int] = (0, 0)
     """Numbers of episodes that a and that b won. Counts of several trainings are means over these."""
     both_won: int = 0

@@ -10,7 +10,7 @@ from armctl.episodes.stored import MEASURED
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
 from armctl.rollout.decision_times import Machines, load_notes, timing_notes, without_deadline_verdicts
-from armctl.runtime.provenance import Run, argument_notes, earlier_looks
+from armctl.runtime.provenance import Run, argument_notes, earlier_looks, overwritten_looks
 from armctl.stats.difference import Difference
 from armctl.verdict.facts import Facts
 from armctl.verdict.notebook import Displayed
@@ -122,8 +122,9 @@ class Comparison(Displayed):
         """Verdict on the better policy, by how much and at what cost; None for a single policy."""
         if len(self.policies) < 2:
             return None
+        overwritten, facts = overwritten_looks(self.runs), self.facts
         return verdict(
-            self.policies, self.differences, self.facts.baseline, self.facts.margin, self.looks, self.stopped_of
+            self.policies, self.differences, facts.baseline, facts.margin, self.looks, overwritten, self.stopped_of
         )
 
     def document(self) -> Document:
@@ -180,12 +181,8 @@ def concluded(
     counted, _ = counted_results(results)
     by_return = bool(comparison.policies) and comparison.policies[0].success is None
     comparison.notes += [
-<<<<<<< HEAD
         *([] if facts.return_bounds or "return" in facts.unknown else [UNBOUNDED]),
-=======
-        *([] if facts.return_bounds else [UNBOUNDED]),
         *([FIXED] if any(pair.any_number for pair in comparison.differences) else []),
->>>>>>> bda94a8 (Comparisons may stop early: tests and intervals that hold at any number of episodes)
         *certificate_notes(results),
         *motion_notes(results, facts.control_period),
         *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),

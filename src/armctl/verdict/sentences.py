@@ -58,6 +58,7 @@ def verdict(
     baseline: str | None = None,
     margin: float = MARGIN,
     looks: Sequence[int] = (),
+    overwritten: Sequence[int] = (),
     at_most: int | None = None,
 ) -> Verdict:
     """Return the verdict on the best classical and the best learned policy, or on the two best, with their costs.
@@ -65,8 +66,8 @@ def verdict(
     With `baseline`, every other policy is compared with it instead. Policies that did not come with armctl are always
     named. The best have the highest success rate, or return where success is unknown. `margin` is the difference in
     success below which policies count as equivalent. `looks` are the numbers of episodes after which a verdict was
-    printed before, `at_most` the largest number of a comparison that stopped early. Policies that a disturbance does
-    not affect are in no pair, and named at the end.
+    printed before, `overwritten` those of them that were overwritten, and `at_most` is the largest number of a
+    comparison that stopped early. Policies that a disturbance does not affect are in no pair, and named at the end.
     """
     fewest = min((pair.episodes for pair in differences), default=FEWEST)
     remarks = (*map(_physics_failed, policies), _not_tested(policies))
@@ -76,7 +77,7 @@ def verdict(
     pairs = verdict_pairs(policies, differences, baseline)
     if not pairs:
         return Verdict(_joined(*remarks))
-    first, *others = (_sentences(pair, margin, _validity(pair, looks, at_most)) for pair in pairs)
+    first, *others = (_sentences(pair, margin, _validity(pair, looks, overwritten, at_most)) for pair in pairs)
     further = (sentence for sentences in others for sentence in sentences)
     context = _joined(*first[1:], *further, _effort(pairs[0]), _privileges(pairs[0]), _scope(pairs), *remarks)
     return Verdict(first[0], _decision_times(pairs[0]), context)
@@ -156,9 +157,9 @@ def _gain(pair: Difference) -> float:
     return next(filter(None, gains), 0.0)
 
 
-def _validity(pair: Pair, looks: Sequence[int], at_most: int | None) -> str:
+def _validity(pair: Pair, looks: Sequence[int], overwritten: Sequence[int], at_most: int | None) -> str:
     """Return whether p and intervals hold after earlier looks, as the end of a sentence; empty without any."""
-    if not pair.difference.any_number:
+    if not pair.difference.any_number or overwritten:
         return f"; {looks_in_words(looks)}" if looks else ""
     stopped = f"stopped after {pair.first.planned:,} of at most {at_most:,} episodes: " if at_most else ""
     return f"; {stopped}p and intervals hold at any number of episodes"

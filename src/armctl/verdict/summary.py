@@ -197,7 +197,8 @@ def summarise(
             summary = _of_group(summary, trainings, scored, limits)
         summaries.append(summary)
     affected = {summary.policy: list(trained[summary.policy].values()) for summary in summaries if not summary.spared}
-    return summaries, pairs_of(affected, scored, limits, facts.at_most is not None or bool(earlier_looks(runs)))
+    any_number = facts.paired and (facts.at_most is not None or bool(earlier_looks(runs)))
+    return summaries, pairs_of(affected, scored, limits, any_number)
 
 
 def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int]:
