@@ -113,11 +113,27 @@ def test_success_by_return(home):
     assert rates[0] > rates[1]
 
 
-def test_an_environment_that_ignores_its_seed_is_said(home):
-    said = armctl(
-        "compare", *PAIR, "--env", "odd_environments.py:Deaf", "--episodes", "10", "--out", "r", cwd=home
-    ).stdout
-    assert "Deaf does not obey its seed" in " ".join(said.split())
+@pytest.mark.parametrize("name", ["Deaf", "DeafLater", "Remembering"])
+def test_an_environment_that_ignores_its_seed_is_judged_without_pairs(home, name):
+    arguments = [*PAIR, "--env", f"odd_environments.py:{name}", "--episodes", "12"]
+    said = armctl("compare", *arguments, "--out", "r", cwd=home).stdout
+    armctl("report", "r", "--no-video", cwd=home)
+    printed = " ".join(said.split())
+    assert f"{name} does not obey its seed" in printed
+    assert "(on different episodes" in printed
+    assert "Unpaired differences, on different episodes" in printed
+    assert "12 of 12 / 12 of 12" in printed
+    assert "p: Barnard's exact test" in printed
+    summary = json.loads((home / "r" / "summary.json").read_text())
+    assert (summary["paired"], summary["differences"][0]["paired"]) == (False, False)
+    assert summary["differences"][0]["wins"] == [12, 12]
+    report = (home / "r" / "report.html").read_text()
+    assert "Pairs of policies, on different episodes" in report
+    planned = armctl("plan", "--pilot", "r", cwd=home).stdout
+    swept = armctl("sweep", *arguments, "--out", "s", "--disturbance", "noise=0,0.1", cwd=home).stdout
+    assert "than without disturbance, on different episodes (Barnard's exact test" in " ".join(swept.split())
+    assert "on different episodes" in " ".join(planned.split())
+    assert not [text for text in (said, report, planned, swept) if "McNemar" in text or "on the same episodes" in text]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from armctl.core.errors import ConfigurationError, EnvironmentFailed, InvalidAction
 from armctl.envs import episode_seed, find_spec, full_id, make_worlds
-from armctl.rollout.seeding import seed_notes
+from armctl.rollout.seeding import SeedCheck, check_seed
 
 ODD = str(Path(__file__).with_name("odd_environments.py"))
 IDS = ["Pendulum-v1", "Reacher-v5", "CartPole-v1", "FrozenLake-v1", "Blackjack-v1", f"{ODD}:Rich", f"{ODD}:Mixed"]
@@ -240,14 +240,16 @@ def test_success_by_return():
     ],
 )
 def test_an_environment_that_ignores_its_seed_is_found_out(name, said):
-    notes = seed_notes(f"{ODD}:{name}")
+    found = check_seed(f"{ODD}:{name}")
+    notes = found.notes
+    assert found.obeyed != any("does not obey" in note for note in notes)
     assert len(notes) == len(said)
     assert all(expected in note for expected, note in zip(said, notes, strict=True))
 
 
 @pytest.mark.parametrize("env", ["armctl/ArmReach-v0", "armctl/BridgeCrossMoving-v0", "Reacher-v5", "HalfCheetah-v5"])
 def test_good_environments_obey_their_seeds(env):
-    assert seed_notes(env) == []
+    assert check_seed(env) == SeedCheck([])
 
 
 def test_disturbances_reach_the_policy_and_the_world():

@@ -6,7 +6,7 @@ import pytest
 
 import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
-from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
+from armctl.stats.power import detection_power, episodes_to_detect, episodes_to_show_equivalence, equivalence_power
 from armctl.study.sample_size import plan_comparison
 from armctl.verdict.tables import Remark
 
@@ -94,3 +94,27 @@ def test_a_plan_for_very_many_pairs():
 def test_a_plan_needs_results(tmp_path):
     with pytest.raises(ResultsError):
         plan_comparison(0.02, pilot=tmp_path)
+
+
+def test_a_plan_without_pairs_is_for_each_policy_by_itself():
+    document = plan_comparison(0.1, unpaired=True)
+    (table,) = document.tables
+    assert [record["success"] for record in table.records] == [0.5, 0.7, 0.8, 0.9, 0.95, 0.98]
+    assert [record["episodes_to_detect"] is None for record in table.records] == [False] * 5 + [True]
+    for record in table.records[3:5]:
+        needed = record["episodes_to_detect"]
+        assert detection_power(needed, 0.1, record["success"], tests=3, paired=False) >= 0.8
+        assert detection_power(needed - 1, 0.1, record["success"], tests=3, paired=False) < 0.8
+        shown = record["episodes_to_show_equivalence"]
+        assert equivalence_power(shown, 0.1, record["success"], paired=False) >= 0.8
+        assert equivalence_power(shown - 1, 0.1, record["success"], paired=False) < 0.8
+    assert "on different episodes" in table.caption
+    remarks = [part.text for part in document.parts if isinstance(part, Remark)]
+    assert remarks[-1] == "Policies that differ by 10 points have a mean success of 5 to 95 %."
+
+
+def test_a_pilot_may_be_planned_for_without_pairs(tmp_path):
+    armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path)
+    (pair,) = plan_comparison(0.05, pilot=tmp_path, unpaired=True).tables[0].records
+    assert pair["success"] == 11 / 22
+    assert pair["episodes_to_detect"] == episodes_to_detect(0.05, 0.5, tests=3, paired=False)

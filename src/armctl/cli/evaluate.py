@@ -35,17 +35,21 @@ def plan(
         int | None,
         typer.Option(min=1, help="Pairs that the tests are corrected for.", show_default="the pilot's, or 1"),
     ] = None,
+    unpaired: Annotated[
+        bool,
+        typer.Option("--unpaired", help="Policies play different episodes, as an unpaired pilot's do."),
+    ] = False,
     table_format: Format = TableFormat.TABLE,
 ) -> None:
     """Compute how many episodes a comparison needs to show a difference in success, or equivalence.
 
     That depends on the episodes that exactly one of two policies wins. A pilot, such as 50 episodes with
-    `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares. With
-    several pairs, tests are corrected as a verdict's are.
+    `armctl compare --out pilot`, gives their share for each pair; without one, the table has common shares. Of
+    different episodes, it depends on success. With several pairs, tests are corrected as a verdict's are.
     """
     from armctl.study.sample_size import plan_comparison
 
-    print_document(plan_comparison(detect / 100, power, pilot, pairs), table_format)
+    print_document(plan_comparison(detect / 100, power, pilot, pairs, unpaired), table_format)
 
 
 @command()

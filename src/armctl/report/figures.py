@@ -79,13 +79,25 @@ def return_points(policies: Sequence[PolicySummary], styles: Styles) -> go.Figur
 
 
 def paired(pair: Difference, episodes: Mapping[str, EpisodeTable], styles: Styles) -> go.Figure:
-    """Scatter plot of two policies' returns, episode by episode. A dot's size shows how many episodes coincide."""
+    """Scatter plot of two policies' returns, episode by episode. A dot's size shows how many episodes coincide.
+
+    Without pairs, it is of their quantiles.
+    """
     a, b = styles[pair.a], styles[pair.b]
-    returns = [
-        pd.DataFrame({"episode": table.column("episode"), name: table.column("total_reward")})
-        for name, table in (("a", episodes[pair.a]), ("b", episodes[pair.b]))
-    ]
-    points = returns[0].merge(returns[1], on="episode")
+    tables = [episodes[pair.a], episodes[pair.b]]
+    if pair.paired:
+        returns = [
+            pd.DataFrame({"episode": table.column("episode"), name: table.column("total_reward")})
+            for name, table in zip("ab", tables, strict=True)
+        ]
+        points = returns[0].merge(returns[1], on="episode")
+        coinciding = "%{customdata[0]} episodes, the first: %{customdata[1]}"
+    else:
+        shares = (np.arange(pair.episodes) + 0.5) / pair.episodes
+        points = pd.DataFrame(
+            {name: np.quantile(table.column("total_reward"), shares) for name, table in zip("ab", tables, strict=True)}
+        ).assign(episode=np.round(100 * shares, 1))
+        coinciding = "%{customdata[0]} quantiles, the first: %{customdata[1]} %"
     lowest, highest = float(points[["a", "b"]].min().min()), float(points[["a", "b"]].max().max())
     if len(points) > MAX_DOTS and highest > lowest:
         cell = (highest - lowest) / CELLS
@@ -107,8 +119,7 @@ def paired(pair: Difference, episodes: Mapping[str, EpisodeTable], styles: Style
             "line": {"width": 0},
         },
         customdata=dots[["size", "first"]].to_numpy().tolist(),
-        hovertemplate=f"{escaped(a.label)} %{{y:.4~r}}, {escaped(b.label)} %{{x:.4~r}}<br>"
-        "%{customdata[0]} episodes, the first: %{customdata[1]}<extra></extra>",
+        hovertemplate=f"{escaped(a.label)} %{{y:.4~r}}, {escaped(b.label)} %{{x:.4~r}}<br>{coinciding}<extra></extra>",
     )
     axis = {"range": span, "nticks": 5}
     return framed(figure, f"return of {escaped(b.label)}", f"return of {escaped(a.label)}", x=axis, y=axis, height=300)

@@ -147,8 +147,10 @@ def _videos(comparison: Comparison, progress: Callable[[str], None]) -> dict[str
 
     if not comparison.counted:
         return {"no_videos": "There is no episode to show."}
-    progress("filming the same episode under each policy")
-    together = film(comparison, apart) if (apart := largest_difference(comparison.counted)) else []
+    apart = largest_difference(comparison.counted) if comparison.facts.paired else []
+    if apart:
+        progress("filming the same episode under each policy")
+    together = film(comparison, apart) if apart else []
     lowest = []
     for result in lowest_returns(comparison.counted):
         progress(f"filming the worst episode of {result.policy}")

@@ -186,7 +186,7 @@ def _paired(comparison: Comparison, styles: style.Styles) -> list[Plot]:
     return [
         Plot(
             figures.paired(pair, comparison.counted, styles),
-            f"Returns of {pair.a} against those of {pair.b}",
+            f"{'Returns' if pair.paired else 'Quantiles of returns'} of {pair.a} against those of {pair.b}",
             f"{styles[pair.a].label} against {styles[pair.b].label}",
             _difference(pair, p),
         )
@@ -217,14 +217,20 @@ def _difference(pair: Difference, p: AdjustedP) -> str:
     if pair.success_p is None:
         chance = 100 * pair.superiority.probability.value
         interval = spread(pair.superiority.probability, 100)
+        share, test = f"in {chance:.1f} % of the episodes", "sign test "
+        if not pair.paired:
+            share, test = f"with a probability of {chance:.1f} %", ""
         return style.signed(
-            f"{earns} The first has the higher return in {chance:.1f} % of the episodes ({interval} %; a tie counts "
-            f"half), sign test p = {p_value(p.higher)} after Holm's correction."
+            f"{earns} The first has the higher return {share} ({interval} %; a tie counts half), "
+            f"{test}p = {p_value(p.higher)} after Holm's correction."
         )
     success = pair.success_difference
+    counts = f"{pair.only_a} won only by the first, {pair.only_b} only by the second"
+    if not pair.paired:
+        first, second = (f"{won} of {size}" for won, size in zip(pair.wins, pair.sample_sizes, strict=True))
+        counts = f"{first} won by the first, {second} by the second"
     return (
-        f"Success {100 * (success.value if success else 0):+.1f} % ({spread(success, 100, '+')}): "
-        f"{pair.only_a} won only by the first, {pair.only_b} only by the second, "
+        f"Success {100 * (success.value if success else 0):+.1f} % ({spread(success, 100, '+')}): {counts}, "
         f"p = {p_value(p.success)} after Holm's correction. " + style.signed(earns)
     )
 

@@ -5,6 +5,7 @@ If it does not obey its seed, policies do not meet the same episodes.
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -21,8 +22,18 @@ Step = tuple[Any, float, bool, bool]
 """Observation, reward, terminated, truncated."""
 
 
-def seed_notes(env: str, env_options: Mapping[str, Any] | None = None) -> list[str]:
-    """Return remarks about an environment that plays an episode differently each time, or all episodes alike.
+@dataclass(frozen=True)
+class SeedCheck:
+    """How an environment takes its seed."""
+
+    notes: list[str]
+    """Remarks about one that plays an episode differently each time, or all episodes alike."""
+    obeyed: bool = True
+    """False if an episode was another one when it was played again."""
+
+
+def check_seed(env: str, env_options: Mapping[str, Any] | None = None) -> SeedCheck:
+    """Return how an environment takes its seed, and whether it observes what it declares.
 
     Two worlds play episodes 0 and 1 with the same random actions, and then once more with the episodes swapped. So a
     difference shows whether it comes from the global random state, from what was played before, or from the instance.
@@ -34,24 +45,24 @@ def seed_notes(env: str, env_options: Mapping[str, Any] | None = None) -> list[s
         try:
             once, again = (_play(worlds, episodes, actions) for episodes in ((0, 1), (1, 0)))
         except EnvironmentFailed as error:
-            return [f"Whether {name} obeys its seed is unknown: {error}"]
+            return SeedCheck([f"Whether {name} obeys its seed is unknown: {error}"])
     if misfit := _misfit(worlds.single_observation_space, [observation for observation, *_ in once[0]]):
         notes.append(f"{name} {misfit}.")
     for episode in (0, 1):
         step = _first_difference(once[episode], again[1 - episode])
         if step is not None:
             when = f"in step {step}" if step else "from its start"
-            return [
-                *notes,
+            notes.append(
                 f"{name} does not obey its seed: episode {episode} differs {when} when it is played again. So policies "
-                "do not meet the same episodes, and no result can be repeated exactly.",
-            ]
+                "do not meet the same episodes, and no result can be repeated exactly."
+            )
+            return SeedCheck(notes, obeyed=False)
     if _first_difference(once[0], once[1]) is None:
         notes.append(
             f"{name} plays the same episode whatever its seed: all episodes are one and the same, and only policies "
             "can make a difference."
         )
-    return notes
+    return SeedCheck(notes)
 
 
 def _misfit(space: Any, observations: Sequence[Any]) -> str:

@@ -22,13 +22,16 @@ from armctl.stats.correction import holm
 from armctl.stats.difference import EQUIVALENCE, SIGNIFICANT, significant, within
 from armctl.stats.intervals import (
     FEWEST,
+    Bounds,
     Estimate,
     MeanDifference,
     bounded_difference,
+    bounded_sum,
     mean_of_means,
     success_rate,
 )
 from armctl.stats.paired import mcnemar, mover
+from armctl.stats.unpaired import newcombe, unconditional
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,15 +77,17 @@ def _selects(episodes: "pd.Index[int]") -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class TaskPair:
-    """The best classical policy against the best learned one, on the same episodes of one setting."""
+    """The best classical policy against the best learned one, in one setting."""
 
     episodes: int
+    """Number of episodes that both played; of different ones, the smaller number."""
     only_classical: int
     """Number of episodes that only the classical policy won."""
     only_learned: int
     p: float
-    """McNemar's exact p-value; of a disturbed setting after Holm's correction for all of the task.
+    """McNemar's exact p-value, or on different episodes that of `unconditional`.
 
+    Of a disturbed setting it is after Holm's correction for all of the task.
     In `Study.verdicts`, the undisturbed one is after Holm's correction for all tasks, and for success and steps."""
     num_comparisons: int = 1
     """Number of tasks in one report, for which the tests of equivalence are corrected (Bonferroni)."""
@@ -96,18 +101,28 @@ class TaskPair:
     """Change of the difference in success by the disturbance, on the same episodes; None for few common episodes."""
     change_p: float | None = None
     """p-value for no change, after Holm's correction for all disturbed settings of the task."""
+    wins: tuple[int, int] | None = None
+    """Episodes that the classical and that the learned policy won, if they played different ones; else None."""
+    sample_sizes: tuple[int, int] = (0, 0)
+    """Numbers of these episodes."""
 
     @property
     def difference(self) -> Estimate:
         """Success of the classical minus that of the learned policy, with MOVER's 95 % interval."""
-        return mover(self.only_classical, self.only_learned, self.episodes)
+        return self._difference_with(0.95)
+
+    def _difference_with(self, confidence: float) -> Estimate:
+        if self.wins is None:
+            return mover(self.only_classical, self.only_learned, self.episodes, confidence)
+        (classical, learned), sizes = self.wins, self.sample_sizes
+        return newcombe(classical, sizes[0], learned, sizes[1], confidence)
 
     @property
     def better(self) -> int:
         """1 if the classical policy is significantly better, -1 if the learned one is, else 0; 0 for few episodes."""
         if self.p >= SIGNIFICANT or self.episodes < FEWEST:
             return 0
-        return int(np.sign(self.only_classical - self.only_learned))
+        return int(np.sign(self.difference.value))
 
     @property
     def faster(self) -> int:
@@ -132,24 +147,21 @@ class TaskPair:
     def equivalence_interval(self) -> Estimate:
         """Difference in success with the interval that decides equivalence."""
         confidence = 1 - 2 * EQUIVALENCE / self.num_comparisons
-        return mover(self.only_classical, self.only_learned, self.episodes, confidence)
+        return self._difference_with(confidence)
 
 
 def pairwise_by_task(
-    cells: "Mapping[str, pd.DataFrame]", undisturbed: str, classical: Choice, learned: Choice
+    cells: "Mapping[str, pd.DataFrame]", undisturbed: str, classical: Choice, learned: Choice, *, paired: bool = True
 ) -> dict[str, TaskPair]:
-    """Compare both choices in each setting of a task in which both have played."""
-    pairs: dict[str, TaskPair] = {}
-    gains = {name: (values_of(table, classical) - values_of(table, learned)).dropna() for name, table in cells.items()}
-    for setting, gain in gains.items():
-        if len(gain):
-            only_a, only_b = int((gain > 0).sum()), int((gain < 0).sum())
-            pairs[setting] = TaskPair(len(gain), only_a, only_b, mcnemar(only_a, only_b))
+    """Compare both choices in each setting of a task in which both have played, on the same episodes if `paired`."""
+    scores = {name: (values_of(table, classical), values_of(table, learned)) for name, table in cells.items()}
+    compared = {setting: _pair(*of_choices, paired) for setting, of_choices in scores.items()}
+    pairs = {setting: pair for setting, pair in compared.items() if pair}
     disturbed = [setting for setting in pairs if setting != undisturbed]
     changes = {
         setting: change
         for setting in disturbed
-        if undisturbed in pairs and (change := _change(gains[undisturbed], gains[setting])) is not None
+        if undisturbed in pairs and (change := _change(scores[undisturbed], scores[setting], paired)) is not None
     }
     change_p = dict(zip(changes, holm([change.p for change in changes.values()]), strict=True))
     for setting, p in zip(disturbed, holm([pairs[setting].p for setting in disturbed]), strict=True):
@@ -160,10 +172,43 @@ def pairwise_by_task(
     return pairs
 
 
-def _change(undisturbed: "pd.Series[float]", disturbed: "pd.Series[float]") -> MeanDifference | None:
-    """Return the change of a difference in success, episode by episode: both are between -1 and 1."""
-    changes = np.asarray((disturbed - undisturbed).dropna(), dtype=np.float64)
-    return bounded_difference(changes, (-2.0, 2.0)) if len(changes) >= FEWEST else None
+def _pair(classical: "pd.Series[float]", learned: "pd.Series[float]", paired: bool) -> TaskPair | None:
+    """Return the test of success by episode; None without an episode that is needed for it."""
+    if paired:
+        gain = (classical - learned).dropna()
+        only_a, only_b = int((gain > 0).sum()), int((gain < 0).sum())
+        return TaskPair(len(gain), only_a, only_b, mcnemar(only_a, only_b)) if len(gain) else None
+    sizes = len(classical.dropna()), len(learned.dropna())
+    wins = int(classical.sum()), int(learned.sum())
+    if not all(sizes):
+        return None
+    p = unconditional(wins[0], sizes[0], wins[1], sizes[1])
+    return TaskPair(min(sizes), 0, 0, p, wins=wins, sample_sizes=sizes)
+
+
+def mean_difference(
+    a: "pd.Series[float]", b: "pd.Series[float]", bounds: Bounds, paired: bool
+) -> MeanDifference | None:
+    """Return the mean of scores by episode of a minus those of b; None without an episode that is needed for it."""
+    if paired:
+        gains = np.asarray((a - b).dropna(), dtype=np.float64)
+        return bounded_difference(gains, (bounds[0] - bounds[1], bounds[1] - bounds[0]))
+    samples = [np.asarray(sample.dropna(), dtype=np.float64) for sample in (a, b)]
+    return bounded_sum(samples, [1, -1], bounds) if all(map(len, samples)) else None
+
+
+def _change(
+    undisturbed: "tuple[pd.Series[float], pd.Series[float]]",
+    disturbed: "tuple[pd.Series[float], pd.Series[float]]",
+    paired: bool,
+) -> MeanDifference | None:
+    """Return the change of a difference in success, episode by episode if `paired`; None for few episodes."""
+    if paired:
+        (a, b), (other_a, other_b) = disturbed, undisturbed
+        changes = np.asarray((a - b - (other_a - other_b)).dropna(), dtype=np.float64)
+        return bounded_difference(changes, (-2.0, 2.0)) if len(changes) >= FEWEST else None
+    samples = [np.asarray(sample.dropna(), dtype=np.float64) for sample in (*disturbed, *undisturbed)]
+    return bounded_sum(samples, [1, -1, -1, 1], (0.0, 1.0)) if min(map(len, samples)) >= FEWEST else None
 
 
 def improvement(cells: "Mapping[str, pd.DataFrame]", classical: Choice, learned: Choice) -> Array:

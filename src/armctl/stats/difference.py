@@ -124,6 +124,16 @@ class Difference:
         """p-value for equal success, or that of the sign test if success is unknown."""
         return self.superiority.p if self.success_p is None else self.success_p
 
+    @property
+    def planning_share(self) -> float:
+        """Share of the pairs that exactly one won, or without pairs, of the episodes that were won on both sides.
+
+        With one more of either kind (Laplace).
+        """
+        if self.paired:
+            return (self.only_a + self.only_b + 1) / (self.episodes + 2)
+        return (sum(self.wins) + 1) / (sum(self.sample_sizes) + 2)
+
     def lead_of(self, policy: str) -> float:
         """Return the statistic that `p` tests, of one policy against the other.
 

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
+from armctl.core.arrays import Array
 from armctl.stats.difference import MARGIN, Difference
 from armctl.stats.intervals import paired_superiority, sign_of_difference
 from armctl.stats.paired import mcnemar
-from armctl.stats.trainings import mean_over_trainings
+from armctl.stats.trainings import difference_over_trainings, mean_over_trainings, superiority_over_trainings
+from armctl.stats.unpaired import unconditional
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,17 +110,23 @@ def onsets(levels: Iterable[float], significant: Iterable[bool], holds: Iterable
     ]
 
 
-def change_between(undisturbed: "pd.DataFrame", disturbed: "pd.DataFrame", score: str) -> tuple[float, float]:
+def change_between(
+    undisturbed: "pd.DataFrame", disturbed: "pd.DataFrame", score: str, paired: bool = True
+) -> tuple[float, float]:
     """Return the p-value for no change in the `score` of a policy, from its rows of `episodes.csv`, and the change.
 
-    (1, 0) if there is nothing to compare.
+    (1, 0) if there is nothing to compare. Episodes of the same number are the same ones if they are `paired`.
     """
     tables = (rows.pivot(index="policy", columns="episode", values=score) for rows in (undisturbed, disturbed))
     finished = [table.astype(float).dropna(axis=1) for table in tables]
-    episodes = finished[0].columns.intersection(finished[1].columns)
-    first, second = (table[episodes].to_numpy() for table in finished)
-    if 0 in first.shape:
+    if paired:
+        episodes = finished[0].columns.intersection(finished[1].columns)
+        finished = [table[episodes] for table in finished]
+    first, second = (table.to_numpy() for table in finished)
+    if 0 in (*first.shape, *second.shape):
         return 1.0, 0.0
+    if not paired:
+        return _unpaired_change(first, second, score)
     if len(first) > 1:  # a group: over its trainings and episodes
         change = mean_over_trainings(sign_of_difference(second, first), (-1.0, 1.0))
         return 1.0 if change.p is None else change.p, change.mean.value
@@ -127,6 +135,18 @@ def change_between(undisturbed: "pd.DataFrame", disturbed: "pd.DataFrame", score
         return higher.p, 2 * higher.probability.value - 1
     lost, gained = int((first > second).sum()), int((first < second).sum())
     return mcnemar(lost, gained), (gained - lost) / first.shape[1]
+
+
+def _unpaired_change(first: Array, second: Array, score: str) -> tuple[float, float]:
+    """Return what `change_between` does, of scores (trainings, episodes) in different episodes."""
+    if score == "return":
+        higher, _ = superiority_over_trainings(second, first, paired=False)
+        return higher.p, 2 * higher.probability.value - 1
+    if len(first) > 1:
+        change = difference_over_trainings(second, first, (0.0, 1.0), paired=False)
+        return 1.0 if change.p is None else change.p, change.estimate.value
+    lost, won = int(first.sum()), int(second.sum())
+    return unconditional(won, second.shape[1], lost, first.shape[1]), won / second.shape[1] - lost / first.shape[1]
 
 
 @dataclass(frozen=True)
@@ -195,7 +215,7 @@ class RobustnessRanking:
 def robustness_rankings(points: "pd.DataFrame", pairs: Mapping[PairKey, Difference]) -> list[RobustnessRanking]:
     """Return the ranking under each disturbance, from the rows of `sweep.csv`.
 
-    `pairs` are the tests of each two policies in the same episodes (`Sweep.pairs`). Two policies differ at a level if
+    `pairs` are the tests of each two policies (`Sweep.pairs`). Two policies differ at a level if
     their test is significant at a false discovery rate of 5 % over all pairs, levels and disturbances, in the direction
     of the statistic that was tested. Policies that a disturbance does not reach are in none of these tests.
     """

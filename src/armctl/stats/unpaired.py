@@ -8,6 +8,7 @@ worse than one of 95 % with a power of 19 %, and angles with 90 %. Fisher's cond
 whose order is Fisher's p-value, takes half a minute for 1,000 episodes each.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -37,10 +38,10 @@ def unconditional(wins_a: int, episodes_a: int, wins_b: int, episodes_b: int) ->
     sizes = (episodes_a, episodes_b) if lead > 0 else (episodes_b, episodes_a)
     low, high = _possible(wins_a + wins_b, episodes_a + episodes_b)
     logits = np.linspace(low, high, RATES)
-    p = _probabilities(abs(lead), *sizes, logits)
+    p = _tail(*sizes, logits)(np.array(abs(lead)))
     spacing, worst = (high - low) / (RATES - 1), np.argsort(p)[-3:]
-    near = np.clip([logits[i] + np.linspace(-spacing, spacing, 17) for i in worst], low, high)
-    return min(1.0, 2 * (float(max(p.max(), _probabilities(abs(lead), *sizes, near.ravel()).max())) + IMPOSSIBLE))
+    near = np.clip([logits[i] + np.linspace(-spacing, spacing, 17) for i in worst], low, high).ravel()
+    return min(1.0, 2 * (float(max(p.max(), _tail(*sizes, near)(np.array(abs(lead))).max())) + IMPOSSIBLE))
 
 
 @lru_cache(maxsize=10_000)
@@ -73,7 +74,7 @@ def unpaired_power(better: float, worse: float, episodes: int, level: float) -> 
     low, high = np.full(len(wins), losing[0] - 1), np.full(len(wins), losing[-1])  # wins of the worse that show it
     while (low < high).any():
         middle = np.ceil((low + high) / 2)
-        lead = _angle(wins, episodes) - _angle(middle, episodes)
+        lead = _angle(wins, episodes) - _angle(middle.clip(0), episodes)
         significant = lead >= leads[(wins + middle - first).astype(int).clip(0)] - 1e-12
         low, high = np.where(significant, middle, low), np.where(significant, high, middle - 1)
     return float(probability(wins, episodes, better) @ cdf(low, episodes, worse))
@@ -86,9 +87,10 @@ def _critical_leads(first: int, last: int, episodes: int, level: float) -> Array
     logits = np.linspace(ranges.min(), ranges.max(), RATES)
     usual = float(scipy.special.ndtri(1 - level)) * (0.5 / episodes) ** 0.5
     low, high = np.zeros(RATES), np.full(RATES, min(4 * usual, np.pi / 2))
+    tail = _tail(episodes, episodes, logits)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        above = _probabilities(middle, episodes, episodes, logits) > level
+        above = tail(middle) > level
         low, high = np.where(above, middle, low), np.where(above, high, middle)
     within = (logits >= ranges[:, :1] - 1e-9) & (logits <= ranges[:, 1:] + 1e-9)
     largest = np.where(within, high, 0.0).max(axis=1)
@@ -107,13 +109,26 @@ def _angle(wins: Array | int, episodes: int) -> Array:
     return np.asarray(np.arcsin(np.sqrt((wins + 3 / 8) / (episodes + 3 / 4))))
 
 
-def _probabilities(leads: Array | float, episodes_a: int, episodes_b: int, logits: Array) -> Array:
-    """Return the probability that a has at least a lead, in angle, for each of some success rates of both."""
+def _tail(episodes_a: int, episodes_b: int, logits: Array) -> Callable[[Array], Array]:
+    """Return the function of leads, in angle, that is the probability of each at one of some success rates of both."""
     rates = scipy.special.expit(logits)[:, None]
-    half = WIDTH * np.sqrt(episodes_a * rates * (1 - rates)) + FEW
-    width = min(episodes_a + 1, int(2 * half.max()) + 2)
-    wins = np.floor(episodes_a * rates - half).clip(0, episodes_a + 1 - width) + np.arange(float(width))
-    angle = _angle(wins, episodes_a) - np.reshape(leads, (-1, 1))
-    wins_b = np.floor((episodes_b + 3 / 4) * np.sin(np.maximum(angle, 0.0)) ** 2 - 3 / 8 + TIE)
-    losing = np.where(angle < 0, -1.0, wins_b)  # the largest numbers of wins of b that leave the lead
-    return np.asarray((probability(wins, episodes_a, rates) * cdf(losing, episodes_b, rates)).sum(axis=1))
+    _, wins = _likely_wins(episodes_a, rates)
+    first_b, wins_b = _likely_wins(episodes_b, rates)
+    probabilities, angles = probability(wins, episodes_a, rates), _angle(wins, episodes_a)
+    at_most = np.pad(cdf(wins_b, episodes_b, rates), ((0, 0), (1, 0)))
+
+    def tail(leads: Array) -> Array:
+        angle = angles - np.reshape(leads, (-1, 1))
+        losing = np.floor((episodes_b + 3 / 4) * np.sin(np.maximum(angle, 0.0)) ** 2 - 3 / 8 + TIE)
+        places = np.where(angle < 0, 0, losing - first_b + 1).clip(0, wins_b.shape[1]).astype(int)
+        return np.asarray((probabilities * np.take_along_axis(at_most, places, axis=1)).sum(axis=1))
+
+    return tail
+
+
+def _likely_wins(episodes: int, rates: Array) -> tuple[Array, Array]:
+    """Return the first (r, 1), and all (r, k), of the numbers of wins that are likely at success rates (r, 1)."""
+    half = WIDTH * np.sqrt(episodes * rates * (1 - rates)) + FEW
+    width = min(episodes + 1, int(2 * half.max()) + 2)
+    first = np.floor(episodes * rates - half).clip(0, episodes + 1 - width)
+    return first, first + np.arange(float(width))

@@ -30,7 +30,7 @@ from armctl.rollout.parallel import (
     play_in_workers,
 )
 from armctl.rollout.real_time import RealTimePolicy, check_real_time
-from armctl.rollout.seeding import seed_notes
+from armctl.rollout.seeding import SeedCheck, check_seed
 from armctl.runtime.identity import identity
 from armctl.runtime.provenance import RunMeter, machine, versions
 from armctl.runtime.workers import WorkersFailed
@@ -54,8 +54,8 @@ class Task:
 
     lower_bound_steps: dict[int, float] = field(default_factory=dict)
     """Lower bounds by episode, as in `rollouts`."""
-    seed_notes: list[str] | None = None
-    """Remarks of `seed_notes`; None before the first cell is played."""
+    seeding: SeedCheck | None = None
+    """None before the first cell is played."""
 
 
 class Recorder:
@@ -247,6 +247,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         judged = min(map(len, results.by_policy().values()), default=0)
         runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
         facts = line.facts(events, notes, len(writer.kept))
+        facts = replace(facts, paired=task.seeding is None or task.seeding.obeyed)
         try:
             runs = writer.finish(asdict(facts), runs, events.disqualified)
         except ResultsError as error:
@@ -291,9 +292,9 @@ def _notes(line: _Line, task: Task) -> list[str]:
         notes.append(cell.real_time.in_words(env.task.control_period))
     if not line.plan.engine.is_local:
         check_sendable(line.playing)
-    if task.seed_notes is None:
-        task.seed_notes = seed_notes(cell.env, cell.env_options)
-    notes += task.seed_notes
+    if task.seeding is None:
+        task.seeding = check_seed(cell.env, cell.env_options)
+    notes += task.seeding.notes
     if isinstance(env, ThirdPartyVectorEnv):
         notes.append(NOT_AN_ARMCTL_TASK.format(env=bare_id(cell.env)))
     return notes

@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 from armctl.stats.across_tasks import League
 from armctl.study.task_verdict import CHOSEN, FIRST, TaskVerdict, chosen
+from armctl.verdict.summary_tables import UNCONDITIONAL
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Table, p_value, percent
 
 
@@ -32,11 +33,20 @@ def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick:
             }
         )  # fmt: skip
     caption = (
-        f"{FIRST if quick else CHOSEN} Undisturbed. Difference with MOVER's 95 % interval; p: McNemar's exact test, "
+        f"{FIRST if quick else CHOSEN} Undisturbed. Difference with MOVER's 95 % interval; p: {test_of(verdicts)}, "
         "after Holm's correction for all tasks, and for success and steps together."
     )
     title = f"{len(rows)} tasks: {episodes} episodes of seed {seed} in each setting"
     return Table("tasks", title, columns, rows, records, caption)
+
+
+def test_of(verdicts: Sequence[TaskVerdict]) -> str:
+    """Return the test of success undisturbed, and on which episodes policies were compared, in words."""
+    paired = {pair.wins is None for verdict in verdicts if (pair := verdict.undisturbed)}
+    different = f"{UNCONDITIONAL}'s exact test, on different episodes"
+    if paired == {False}:
+        return different
+    return f"McNemar's exact test, on the same episodes{f', or {different}' if False in paired else ''}"
 
 
 def rank_table(league: League) -> Table:

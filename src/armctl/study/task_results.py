@@ -32,7 +32,8 @@ COLUMNS = (
 """Columns of `sweep.csv`: one row per disturbance, level and policy, with 95 % intervals.
 
 `p` is McNemar's p-value for equal success in the same episodes without the disturbance, or the sign test's for equal
-return if success is unknown; for a group of trainings, that of random weights of trainings and of episodes. `change` is
+return if success is unknown; for a group of trainings, that of random weights of trainings and of episodes; where the
+environment does not obey its seed, that of `unpaired_difference`. `change` is
 the tested statistic: success minus that without the disturbance, or the share of episodes with a higher return minus
 the share with a lower one. `spared` is True where the disturbance does not reach the policy, which is in no test then:
 `p` and `change` are NaN."""
@@ -58,7 +59,7 @@ class Sweep(Displayed):
 
     def document(self) -> Document:
         """Return a table for each disturbance, and the level from which each policy gets worse."""
-        parts = sweep_parts(self.points, self.pairs, self.looks)
+        parts = sweep_parts(self.points, self.pairs, self.looks, self.paired)
         waiting = (comparison for comparison in self.comparisons.values() if comparison.facts.real_time is None)
         notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
@@ -100,15 +101,20 @@ class Sweep(Displayed):
                     values = (
                         name, level, policy.policy, policy.episodes, *_numbers(policy.success),
                         *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
-                        *((1.0, 0.0) if first else _change(undisturbed_rows, disturbed_rows, policy)), self.units[name],
-                        policy.sees, bool(policy.spared),
+                        *((1.0, 0.0) if first else _change(undisturbed_rows, disturbed_rows, policy, self.paired)),
+                        self.units[name], policy.sees, bool(policy.spared),
                     )  # fmt: skip
                     rows.append(dict(zip(COLUMNS, values, strict=True)))
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
     @property
+    def paired(self) -> bool:
+        """True if episodes of the same number are the same ones, whoever plays them."""
+        return all(comparison.facts.paired for comparison in self.comparisons.values())
+
+    @property
     def pairs(self) -> dict[PairKey, Difference]:
-        """The tests of each two policies in the same episodes."""
+        """The tests of each two policies at each level."""
         where = self.settings | {UNDISTURBED: NEUTRAL}
         return {
             (*where[name], frozenset((pair.a, pair.b))): pair
@@ -135,12 +141,12 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
 
 
 def _change(
-    undisturbed_rows: "pd.DataFrame", disturbed_rows: "pd.DataFrame", policy: PolicySummary
+    undisturbed_rows: "pd.DataFrame", disturbed_rows: "pd.DataFrame", policy: PolicySummary, paired: bool
 ) -> tuple[float, float]:
-    """Return the p-value for no change in the same episodes, and the change: see `COLUMNS`."""
+    """Return the p-value for no change, and the change: see `COLUMNS`."""
     if policy.spared:
         return math.nan, math.nan
     names = policy.trainings or [policy.policy]
     first, second = (rows[rows.policy.isin(names)] for rows in (undisturbed_rows, disturbed_rows))
     score = "return" if policy.success is None else "success"
-    return change_between(first, second, score)
+    return change_between(first, second, score, paired)

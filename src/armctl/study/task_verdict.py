@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from armctl.core.registration import bare_id, short_name
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import privileges
 from armctl.runtime.provenance import looks_in_words, with_looks
-from armctl.stats.across_tasks import Choice, TaskPair, choose, pairwise_by_task, rate_of, values_of
+from armctl.stats.across_tasks import Choice, TaskPair, choose, mean_difference, pairwise_by_task, rate_of, values_of
 from armctl.stats.correction import holm
 from armctl.stats.difference import MARGIN, within
-from armctl.stats.intervals import FEWEST, Estimate, bounded_difference
+from armctl.stats.intervals import FEWEST, Estimate
 from armctl.stats.robustness import listed
 from armctl.study.comparison import Comparison
 from armctl.study.task_results import Sweep
@@ -102,6 +100,7 @@ class TaskVerdict:
         if pair.faster and pair.steps:
             kind = _kind(pair.faster).lower()
             parts.append(f"{kind} takes {size(pair.steps)} fewer steps, p = {p_value(pair.steps_p)}")
+        parts += ["on different episodes"] * (pair.wins is not None)
         if self.looks:
             parts.append(looks_in_words(self.looks))
         return "; ".join(parts)
@@ -205,7 +204,9 @@ def task_verdict(sweep: Sweep) -> TaskVerdict:
         kinds.append(choose(tables[UNDISTURBED], returns, names) if names else None)
     classical, trained = kinds
     verdict = TaskVerdict(sweep.env, plain.policies, tables, labels, classical, trained, {}, sweep.looks, spared)
-    pairs = pairwise_by_task(verdict.shared_cells, UNDISTURBED, classical, trained) if classical and trained else {}
+    pairs: dict[str, TaskPair] = {}
+    if classical and trained:
+        pairs = pairwise_by_task(verdict.shared_cells, UNDISTURBED, classical, trained, paired=sweep.paired)
     if UNDISTURBED in pairs:
         pairs[UNDISTURBED] = _with_steps(pairs[UNDISTURBED], plain, classical, trained)
     return replace(verdict, pairs=pairs)
@@ -219,8 +220,8 @@ def _with_steps(pair: TaskPair, plain: Comparison, classical: Choice | None, lea
     rows = counted_rows(plain.results)
     rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), time_limit))
     table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
-    gains = np.asarray((values_of(table, classical) - values_of(table, learned)).dropna(), dtype=np.float64)
-    result = bounded_difference(gains, (1.0 - time_limit, time_limit - 1.0))
+    steps = (1.0, float(time_limit))
+    result = mean_difference(values_of(table, classical), values_of(table, learned), steps, plain.facts.paired)
     return replace(pair, steps=result.estimate, steps_p=result.p) if result else pair
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
-from armctl.stats.difference import Difference, paired_difference
+from armctl.stats.difference import Difference, paired_difference, unpaired_difference
 from armctl.stats.intervals import Bounds
 from armctl.stats.sequential import Scores, sequential_difference
 
@@ -82,15 +82,20 @@ def _score(name: str, results: EpisodeTable, limits: Limits) -> NDArray[Any]:
 
 
 def pairs_of(
-    trained: Mapping[str, list[EpisodeTable]], scored: bool, limits: Limits, any_number: bool = False
+    trained: Mapping[str, list[EpisodeTable]],
+    scored: bool,
+    limits: Limits,
+    paired: bool = True,
+    any_number: bool = False,
 ) -> list[Difference]:
     """Compare each two learners, given the results of their trainings, on the episodes that both played.
 
-    With `any_number`, what is concluded holds at any number of episodes, except for groups of trainings.
+    Where episodes of the same number are not the same ones, learners are not `paired`, and all of either count. With
+    `any_number`, what is concluded holds at any number of episodes, except for groups of trainings.
     """
-    pairs = []
+    pairs, compare = [], paired_difference if paired else unpaired_difference
     for a, b in itertools.combinations(trained, 2):
-        fewest = min(len(trained[a][0]), len(trained[b][0]))
+        fewest = min(len(trained[a][0]), len(trained[b][0])) if paired else None
         common_a, common_b = ([results[:fewest] for results in trained[name]] for name in (a, b))
 
         def of(score: str, a: Sequence[EpisodeTable] = common_a, b: Sequence[EpisodeTable] = common_b) -> Any:
@@ -103,5 +108,5 @@ def pairs_of(
             scores = Scores(success, returns, steps)
             pairs.append(sequential_difference(a, b, scores, limits.returns, limits.steps, num_pairs))
             continue
-        pairs.append(paired_difference(a, b, success, returns, steps, limits.returns, limits.steps, num_pairs))
+        pairs.append(compare(a, b, success, returns, steps, limits.returns, limits.steps, num_pairs))
     return pairs

@@ -21,7 +21,7 @@ from armctl.verdict.tables import UNKNOWN, p_value, points, size
 
 @dataclass(frozen=True)
 class Pair:
-    """Two policies on the same episodes, the better one first."""
+    """Two policies, the better one first."""
 
     first: PolicySummary
     second: PolicySummary
@@ -178,7 +178,7 @@ def _sentences(pair: Pair, margin: float, validity: str) -> list[str]:
         sentence = f"{first} is better than {second}{but}: success {_points(pair)}, {_p(pair, p)}"
         steps = ""
     elif equivalent:
-        tests = "" if pair.success and within(pair.success, margin) else " (two one-sided tests at 5 %)"
+        tests = _bracketed(pair, "two one-sided tests at 5 %" * (not pair.success or not within(pair.success, margin)))
         sentence = f"{first} and {second} are equivalent in success within {limit}{tests}: {_points(pair)}"
     else:
         sentence = f"Undecided between {first} and {second}: success {_points(pair)}, {_p(pair, p)}"
@@ -194,7 +194,13 @@ def _p(pair: Pair, p: float | None) -> str:
 
 
 def _family(pair: Pair) -> str:
-    return f" (Holm, {pair.p.tests} tests)" if pair.p.tests > 1 else ""
+    return _bracketed(pair, f"Holm, {pair.p.tests} tests" * (pair.p.tests > 1))
+
+
+def _bracketed(pair: Pair, *details: str) -> str:
+    """Return details of a test in brackets, and that episodes are different ones; empty without any."""
+    details = tuple(filter(None, ("" if pair.difference.paired else "on different episodes", *details)))
+    return f" ({'; '.join(details)})" if details else ""
 
 
 def _points(pair: Pair) -> str:
@@ -207,10 +213,10 @@ def _plan(pair: Pair, margin: float) -> str:
     difference = pair.difference
     if difference.crossed is not None:
         return "To resolve it, add training seeds rather than episodes"
-    discordant = (difference.only_a + difference.only_b + 1) / (difference.episodes + 2)
+    share, paired = difference.planning_share, difference.paired
     needed = max(
-        episodes_to_detect(margin, discordant, tests=pair.p.tests),
-        episodes_to_show_equivalence(margin, discordant, num_comparisons=pair.num_comparisons),
+        episodes_to_detect(margin, share, tests=pair.p.tests, paired=paired),
+        episodes_to_show_equivalence(margin, share, num_comparisons=pair.num_comparisons, paired=paired),
     )
     more = max(needed - difference.episodes, difference.episodes // 2)
     rounded = round(more, 1 - len(str(more)))
@@ -284,14 +290,21 @@ def _by_return(pair: Pair) -> str:
     if pair.p.returns is not None:
         earns = _earns_more(pair)
         sentence = (
-            f"{earns}{_family(pair)}" if earns else f"The returns of {first} and {second} do not differ significantly"
+            f"{earns}{_family(pair)}"
+            if earns
+            else f"The returns of {first} and {second} do not differ significantly{_bracketed(pair)}"
         )
     else:
         higher = pair.difference.simultaneous.superiority
         value, low, high = (100 * share for share in (higher.value, *higher.bounds))
         family = f" (Holm, {pair.p.pairs} pairs)" if pair.p.pairs > 1 else ""
-        test = f"sign test, p = {p_value(pair.p.higher)}{family}; ties count half"
-        sentence = f"{first} has the higher return in {value:.0f} % [{low:.0f}, {high:.0f}] of episodes ({test})"
+        share = f"{value:.0f} % [{low:.0f}, {high:.0f}]"
+        if pair.difference.paired:
+            test = f"sign test, p = {p_value(pair.p.higher)}{family}; ties count half"
+            sentence = f"{first} has the higher return in {share} of episodes ({test})"
+        else:
+            test = f"on different episodes, p = {p_value(pair.p.higher)}{family}; ties count half"
+            sentence = f"{first} has the higher return with a probability of {share} ({test})"
         if not _by_sign(pair):
             sentence = f"Undecided between {first} and {second}: {sentence}"
     return sentence

@@ -198,7 +198,7 @@ def summarise(
         summaries.append(summary)
     affected = {summary.policy: list(trained[summary.policy].values()) for summary in summaries if not summary.spared}
     any_number = facts.paired and (facts.at_most is not None or bool(earlier_looks(runs)))
-    return summaries, pairs_of(affected, scored, limits, any_number)
+    return summaries, pairs_of(affected, scored, limits, facts.paired, any_number)
 
 
 def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int]:

@@ -25,6 +25,8 @@ from armctl.verdict.tables import AGAINST, UNKNOWN, Cell, Column, Remark, Table,
 if TYPE_CHECKING:
     import pandas as pd
 
+UNCONDITIONAL, RANDOM_WEIGHTS = "Barnard", "random weights of either side's episodes"
+"""Tests of success, and of the higher return, on different episodes."""
 DISQUALIFIED, SPARED = "disqualified", "spared"
 FEW_UNDETECTED = 0.02
 """Share of failures that may go undetected without a remark: 2 % of the possible returns."""
@@ -182,30 +184,36 @@ def trainings_in_words(policy: PolicySummary) -> str:
 
 def difference_table(pairs: Sequence[Difference], baseline: str | None = None) -> Table:
     """Return a row for each pair of policies: by success, or by the higher return if success is unknown."""
-    by_success = any(pair.success_p is not None for pair in pairs)
+    by_success, paired = any(pair.success_p is not None for pair in pairs), all(pair.paired for pair in pairs)
     name, gain = Column("a - b"), Column("return")
-    columns = [name, Column("success"), Column("only a / only b", optional=True), Column("p"), gain, Column("steps")]
+    counted = Column("only a / only b" if paired else "a won / b won", optional=True)
+    columns = [name, Column("success"), counted, Column("p"), gain, Column("steps")]
     p_values = holm_adjusted(pairs, baseline)
     family = f"the pairs of {baseline}, and of all others for all pairs" if baseline else "all pairs"
     rows = []
     for pair, p in zip(pairs, p_values, strict=True):
         names, difference = Cell(pair.a, AGAINST + pair.b), plain(pair.return_difference, "+")
         if by_success:
-            counts = Cell(f"{pair.only_a} / {pair.only_b}")
+            counts = Cell(f"{pair.only_a} / {pair.only_b}" if paired else _wins(pair))
             success, steps = percent(pair.success_difference, "+"), plain(pair.steps_difference, "+")
             rows.append([names, success, counts, Cell(p_value(p.success)), difference, steps])
         else:
             rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(p.higher))])
     if by_success:
-        caption = f"p: McNemar's exact test for equal success, after Holm's correction for {family}, and for success, "
-        caption += "steps and returns together. Intervals: 95 %, each pair by itself."
+        caption = (
+            f"p: {'McNemar' if paired else UNCONDITIONAL}'s exact test for equal success, after Holm's correction "
+        )
+        caption += f"for {family}, and for success, steps and returns together. Intervals: 95 %, each pair by itself."
         if any(pair.crossed for pair in pairs):
             caption += " [*]: for other trainings and other episodes, whatever the distribution of trainings."
         caption += _if_normal(pairs)
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
-        caption = "a is better: share of episodes in which a has the higher return; a tie counts half. "
-        caption += f"p: sign test, after Holm's correction for {family}. Intervals: 95 %."
+        share, test = (
+            ("share of episodes in which", "sign test") if paired else ("probability with which", RANDOM_WEIGHTS)
+        )
+        caption = f"a is better: {share} a has the higher return; a tie counts half. "
+        caption += f"p: {test}, after Holm's correction for {family}. Intervals: 95 %."
     records = [
         {
             **dataclasses.asdict(pair), "p_corrected": p.success if by_success else p.higher,
@@ -213,7 +221,14 @@ def difference_table(pairs: Sequence[Difference], baseline: str | None = None) -
         }
         for pair, p in zip(pairs, p_values, strict=True)
     ]  # fmt: skip
-    return Table("differences", "Paired differences, on the same episodes", columns, rows, records, caption)
+    title = "Paired differences, on the same episodes" if paired else "Unpaired differences, on different episodes"
+    return Table("differences", title, columns, rows, records, caption)
+
+
+def _wins(pair: Difference) -> str:
+    """Return the wins of both, each of so many episodes."""
+    first, second = (f"{won} of {size}" for won, size in zip(pair.wins, pair.sample_sizes, strict=True))
+    return f"{first} / {second}"
 
 
 def _if_normal(pairs: Sequence[Difference]) -> str:
@@ -227,11 +242,12 @@ def _if_normal(pairs: Sequence[Difference]) -> str:
 
 
 def sweep_parts(
-    points: "pd.DataFrame", pairs: Mapping[PairKey, Difference], looks: Sequence[int] = ()
+    points: "pd.DataFrame", pairs: Mapping[PairKey, Difference], looks: Sequence[int] = (), paired: bool = True
 ) -> list[Table | Remark]:
     """Return a table for each disturbance, of all policies at all levels, and from which level each gets worse.
 
-    `pairs` are the tests of each two policies, as `Sweep.pairs` has them, `looks` the earlier ones of `Sweep.looks`.
+    `pairs` are the tests of each two policies, as `Sweep.pairs` has them, `looks` the earlier ones of `Sweep.looks`;
+    episodes of all levels are the same ones if they are `paired`.
     """
     by_success, policies = bool(points.success.notna().any()), points.policy.nunique()
     effects, rankings = degradations(points), robustness_rankings(points, pairs)
@@ -270,11 +286,14 @@ def sweep_parts(
         )
         parts += [Remark(str(ranking)) for ranking in rankings if ranking.disturbance == name and policies > 1]
     test, rate = "McNemar's exact test" if by_success else "sign test", f"{100 * FALSE_DISCOVERY_RATE:g} %"
+    if not paired:
+        test = f"{UNCONDITIONAL}'s exact test" if by_success else RANDOM_WEIGHTS
     if points.policy.str.endswith(GROUP).any():
         test += (
             f"; {GROUP}: over trainings and episodes, never significant with fewer than {FEWEST_TRAININGS} trainings"
         )
-    worse = f"Worse: than without disturbance, on the same episodes ({test}, false discovery rate {rate})."
+    episodes = f"{'the same' if paired else 'different'} episodes"
+    worse = f"Worse: than without disturbance, on {episodes} ({test}, false discovery rate {rate})."
     parts.append(Remark(with_looks(worse, looks)))
     return parts
 
