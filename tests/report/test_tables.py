@@ -46,7 +46,7 @@ def summary_of(policy, success):
         "episode_return": Estimate(-1234.5, -2345.6, -123.4), "steps_to_goal": success and Estimate(14.4, 12.4, 16.3),
         "metrics": {"energy": Estimate(1.0, None, None)}, "decision_ms_p50": 0.054,
         "decision_ms_p99": 15.854,
-        "decision_ms_max": 20.0, "solver_failures": 0, "worlds": 1, "workers": 1, "spared": (),
+        "decision_ms_max": 20.0, "solver_failures": 0, "worlds": 1, "workers": 1, "spared": (), "foresight": (),
     }  # fmt: skip
     return PolicySummary(**values | known)
 
