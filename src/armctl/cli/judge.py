@@ -1,14 +1,19 @@
 """Verbs for results that armctl did not play: `judge`, and `log` for trials by hand."""
 
+import secrets
+import sys
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armctl.cli.app import verb
 from armctl.cli.options import Format, Overwrite, TableFormat, print_document
+
+if TYPE_CHECKING:
+    from armctl.judging.log import TrialLog
 
 
 class FailIf(StrEnum):
@@ -119,3 +124,88 @@ def judge(request: JudgeRequest) -> None:
             console.print(f"{report} is the report.", soft_wrap=True)
     if judgement.fails(fail_if):
         raise typer.Exit(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogRequest:
+    """Options of `log`."""
+
+    file: Annotated[Path, typer.Argument(help="CSV file of the log; one that is there is continued.", metavar="FILE")]
+    policies: Annotated[
+        list[str] | None, typer.Argument(help="Names of the policies, for a new log.", metavar="[POLICY]...")
+    ] = None
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Initial conditions, each for all policies.", show_default="20")
+    ] = None
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the order of policies.", show_default="drawn")] = None
+    blind: Annotated[bool, typer.Option("--blind", help="Show letters instead of policies until the end.")] = False
+    key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="With `--blind`: also write which letter is which policy."),
+    ] = None
+    unblind: Annotated[bool, typer.Option("--unblind", help="End the log here: write the policies' names.")] = False
+
+
+@verb
+def log(request: LogRequest) -> None:
+    """Log trials of a real robot by hand, in an order that is drawn for each initial condition.
+
+    `armctl log trials.csv old new --episodes 20` asks after every trial: `y` or `n`, if you like with a time in seconds
+    and a remark, as in `y 12.5 slow`; `u` takes the last one back, `q` stops. Every trial is kept at once, and the same
+    command goes on. `armctl judge trials.csv` gives the verdict.
+    """
+    from armctl.core.errors import ConfigurationError
+    from armctl.judging.log import TrialLog
+
+    names = request.policies or []
+    if request.file.exists():
+        trial_log = TrialLog.read(request.file)
+        trial_log.check_plan(names, request.episodes, request.seed)
+    elif not names or request.unblind:
+        raise ConfigurationError(f"there is no log {request.file}: name the policies to begin one")
+    else:
+        seed = secrets.randbelow(2**31) if request.seed is None else request.seed
+        trial_log = TrialLog.begin(request.file, names, request.episodes or 20, seed, request.blind, request.key)
+    if not request.unblind:
+        _ask(trial_log)
+    if trial_log.blind and (trial_log.is_complete or request.unblind):
+        letters = ", ".join(f"{letter} is {policy}" for letter, policy in trial_log.letters.items())
+        trial_log.unblind()
+        print(f"Unblinded: {letters}.")
+    done, total = len(trial_log.rows), len(trial_log.schedule)
+    then = f"armctl judge {request.file} gives the verdict"
+    if done < total:
+        then = "the same command goes on" + ("" if trial_log.blind else f", {then}")
+    print(f"{done} of {total} trials are in {request.file}: {then}.")
+
+
+def _ask(trial_log: "TrialLog") -> None:
+    """Ask for trials until all are logged, or until `q`, Ctrl-C or the end of the input."""
+    from armctl.core.errors import ConfigurationError
+    from armctl.judging.log import entry_of
+
+    print("y or n, then a time in s and a remark if you like; u: take back the last one; q: stop")
+    while True:
+        if trial_log.is_complete:
+            question = "all trials are logged; Enter: finish, u: take back the last one? "
+        else:
+            episode, policy = trial_log.schedule[len(trial_log.rows)]
+            number = f"{len(trial_log.rows) + 1}/{len(trial_log.schedule)}"
+            question = f"trial {number}, initial condition {episode}, policy {policy}: success? "
+        print(question, end="", flush=True)
+        try:
+            line = sys.stdin.readline()
+        except KeyboardInterrupt:
+            line = ""
+        word = line.strip().lower()
+        if not line or word in ("q", "quit") or (trial_log.is_complete and not word):
+            print()
+            return
+        if word in ("u", "undo"):
+            removed = trial_log.undo()
+            print(f"taken back: {', '.join(filter(None, removed))}" if removed else "there is nothing to take back")
+        elif not trial_log.is_complete:
+            try:
+                trial_log.add(*entry_of(line))
+            except ConfigurationError as error:
+                print(f"{error}: y or n?")

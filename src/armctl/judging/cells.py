@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import NoneType
 from typing import Annotated, Any
 
@@ -90,7 +90,11 @@ def natural(text: str) -> list[tuple[int, int, str]]:
 def _with_terms(found: Trials, terms: Terms) -> Trials:
     """Return the trials with success by return, if that is said, and a time in place of a missing return."""
     trials, notes = found.trials, dict(found.notes)
-    known = {name: trials[0]._asdict()[name] is not None for name in ("success", "episode_return", "time")}
+    known = {
+        "success": all(trial.success is not None for trial in trials),
+        "episode_return": all(trial.episode_return is not None for trial in trials),
+        "time": all(trial.time is not None for trial in trials if trial.success is not False),
+    }
     if terms.success_return is not None and not known["success"]:
         if not known["episode_return"]:
             raise ConfigurationError("a success by return needs returns, and there are none")
@@ -114,8 +118,7 @@ def _with_terms(found: Trials, terms: Terms) -> Trials:
         trials = [trial._replace(episode_return=-(limit if trial.success is False else trial.time)) for trial in trials]  # type: ignore[operator]
     elif known["time"]:
         notes |= {text: [] for text in _mean_times(trials, known["success"])}
-    changed = Trials(trials, found.sources, notes, found.training_steps, found.learned, found.time_limit)
-    return changed
+    return replace(found, trials=trials, notes=notes)
 
 
 def _mean_times(trials: Sequence[Trial], scored: bool) -> list[str]:
@@ -233,8 +236,8 @@ def _concluded(cell: _Cell, found: Trials, policies: Sequence[str], terms: Terms
     facts = Facts(
         env_options={}, policy_seed=0, planned=max(map(len, cell.members.values())),
         policies={names[member]: _policy_facts(member[0], found, terms) for member in cell.members},
-        return_bounds=_bounds(terms, unknown), time_limit=None if "steps" in unknown else limit, control_period=None,
-        versions={}, machine={}, notes=notes, failures={},
+        return_bounds=_bounds(terms, found, unknown), time_limit=None if "steps" in unknown else limit,
+        control_period=None, versions={}, machine={}, notes=notes, failures={},
         baseline=f"{baseline}[*]" if f"{baseline}[*]" in groups else baseline,
         margin=terms.margin, real_time=None, groups=groups, disqualified=[], interrupted=False, resumed=0,
         paired=cell.paired, sources=found.sources, unknown=unknown,
@@ -244,12 +247,12 @@ def _concluded(cell: _Cell, found: Trials, policies: Sequence[str], terms: Terms
     return concluded(identity, {}, facts, table, [])
 
 
-def _bounds(terms: Terms, unknown: Sequence[str]) -> Bounds | None:
+def _bounds(terms: Terms, found: Trials, unknown: Sequence[str]) -> Bounds | None:
     if "return" in unknown:
         return None
     if terms.return_bounds is None and terms.time_limit is not None:
         return -terms.time_limit, 0.0
-    return terms.return_bounds
+    return terms.return_bounds or found.return_bounds
 
 
 def _policy_facts(policy: str, found: Trials, terms: Terms) -> PolicyFacts:

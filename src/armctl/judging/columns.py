@@ -26,6 +26,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "steps": ("steps", "num_steps", "n_steps", "length", "episode_length", "ep_length", "ep_len", "timesteps"),
     "decision_ms": ("decision_ms", "decision_ms_p50", "decision_time_ms", "latency_ms", "inference_ms",
                     "inference_time_ms"),
+    "feasible": ("feasible",),
     "training_steps": ("training_steps", "train_steps", "total_timesteps"),
 }  # fmt: skip
 """Names of a field's column, in the order of preference; capitals, spaces and units in brackets do not matter."""

@@ -49,6 +49,8 @@ class Judgement(Displayed):
     """A comparison for each task and condition."""
     overall: Comparison | None
     """All of them together, or the only one; None if policies have different numbers of episodes in them."""
+    own: Displayed | None = None
+    """Sweep or suite that armctl played, whose tables are shown as they are."""
 
     @functools.cached_property
     def conclusions(self) -> list[Conclusion]:
@@ -81,6 +83,8 @@ class Judgement(Displayed):
 
     def document(self) -> Document:
         """Return the verdict and the tables of all together, and a table of the tasks and conditions."""
+        if self.own is not None:
+            return self.own.document()
         if self.overall is not None and len(self.cells) == 1:
             return self.overall.document()
         parts: list[Table | Remark] = []

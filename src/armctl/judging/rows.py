@@ -28,8 +28,8 @@ class Rows:
     """What was assumed."""
     time_limit: int | None = None
     """Largest number of steps of an episode, if the file says so."""
-    comma: bool = False
-    """True if the format itself suggests that a comma is a decimal sign: cells are divided by semicolons or tabs."""
+    return_bounds: tuple[float, float] | None = None
+    """Possible returns, if the file says so."""
 
     def refuse(self, row: int, why: str) -> NoReturn:
         """Raise `ConfigurationError` for a row."""

@@ -9,6 +9,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.judging.columns import SCORES, columns_of, require, used_in_words
 from armctl.judging.rows import Rows
 from armctl.judging.typed import NAMES, typed_columns
+from armctl.stats.intervals import Bounds
 from armctl.verdict.summary_tables import listed_files
 
 MAX_TRIALS = 5_000_000
@@ -55,6 +56,8 @@ class Trials:
     learned: set[str] = field(default_factory=set)
     time_limit: int | None = None
     """Largest number of steps of an episode, if the files say so."""
+    return_bounds: Bounds | None = None
+    """Possible returns, if the files say so."""
 
     def note(self, text: str, source: str | None = None) -> None:
         """Keep what was assumed."""
@@ -106,8 +109,11 @@ def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> Non
     names = zip(*(values.get(name, [""] * len(none)) for name in NAMES), strict=True)
     measures = zip(*(values.get(name, none) for name in ("return", "time", "steps", "decision_ms")), strict=True)
     successes = values.get("success", [(None,)] * len(none))
-    for name, success, measured, place in zip(names, successes, measures, rows.places, strict=True):
-        for won in success:
+    feasible = values.get("feasible", [True] * len(none))
+    if infeasible := feasible.count(False):
+        result.note(f"{infeasible} episodes that are labelled infeasible are left out.", rows.source)
+    for name, success, measured, place, counts in zip(names, successes, measures, rows.places, feasible, strict=True):
+        for won in success if counts else ():
             result.trials.append(Trial._make((*name, won, *measured, rows.source, f"{rows.unit} {place}")))
     for policy, steps in zip(values["policy"], values.get("training_steps", none), strict=True):
         if steps:
@@ -116,6 +122,7 @@ def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> Non
         result.learned |= set(values["policy"])
     if len(result.trials) > MAX_TRIALS:
         raise ConfigurationError(f"{rows.source}: there are more than {MAX_TRIALS:,} episodes")
+    result.return_bounds = rows.return_bounds or result.return_bounds
     if rows.time_limit is not None:
         result.time_limit = max(rows.time_limit, result.time_limit or 0)
 

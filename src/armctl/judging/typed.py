@@ -1,5 +1,6 @@
 """Columns of rows as values of their types: names, success, numbers. Whatever is not clear is refused."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -34,7 +35,13 @@ def typed_columns(
     if "," in signs:
         notes.append(f"the comma is the decimal sign, as in {signs[',']}.")
     values = {name: _numbers(rows, name, cells[name], next(iter(signs), None)) for name in NUMBERS if name in cells}
+    required = next(name for name in SCORES if name in columns)
+    for name in ("return", "time"):
+        if name in values:
+            _check_gaps(rows, name, values, cells, name == required, notes)
     values |= {name: _names(rows, name, cells[name]) for name in NAMES if name in cells}
+    if "feasible" in cells:
+        values["feasible"] = [won for (won,) in _successes(rows, cells["feasible"], "feasible")]
     if "success" in cells:
         values["success"] = _successes(rows, cells["success"])
         if any(len(each) > 1 for each in values["success"]):
@@ -49,9 +56,8 @@ def _numbers(rows: Rows, name: str, cells: Sequence[Any], sign: str | None) -> l
         if isinstance(value, str):
             rows.refuse(i, f"{label}: {value}")
         if value is None:
-            if name in SCORES:
-                rows.refuse(i, f"the {label} is empty: enter it, or remove the row")
-        elif not abs(value) <= LARGEST_RETURN:
+            continue
+        if not abs(value) <= LARGEST_RETURN:
             rows.refuse(i, f"{label}: {value:g} is no number to compare")
         elif value < 0 and name != "return":
             rows.refuse(i, f"{label}: {value:g} is less than 0")
@@ -60,6 +66,33 @@ def _numbers(rows: Rows, name: str, cells: Sequence[Any], sign: str | None) -> l
     if name.endswith("steps"):
         return [None if value is None else int(value) for value in values]
     return values
+
+
+def _check_gaps(
+    rows: Rows,
+    name: str,
+    values: dict[str, list[Any]],
+    cells: Mapping[str, list[Any]],
+    required: bool,
+    notes: list[str],
+) -> None:
+    """Refuse an empty return or time if the verdict rests on it; else leave the column out. A failure needs no time."""
+    gaps = [i for i, value in enumerate(values[name]) if value is None]
+    if name == "time" and not required:
+        gaps = [i for i in gaps if _won(cells["success"][i])] if "success" in cells else gaps
+    if gaps and required:
+        rows.refuse(gaps[0], f"the {name} is empty: enter it, or remove the row")
+    if gaps:
+        where = f"the first in {rows.unit} {rows.places[gaps[0]]}"
+        if len(gaps) < len(rows.values):
+            notes.append(f"the {name} is not used, since it is empty in {len(gaps)} rows, {where}.")
+        del values[name]
+
+
+def _won(cell: Any) -> bool:
+    with contextlib.suppress(ValueError):
+        return truth(cell)
+    return True
 
 
 def _names(rows: Rows, name: str, cells: Sequence[Any]) -> list[str]:
@@ -75,15 +108,15 @@ def _names(rows: Rows, name: str, cells: Sequence[Any]) -> list[str]:
     return texts
 
 
-def _successes(rows: Rows, cells: Sequence[Any]) -> list[tuple[bool, ...]]:
+def _successes(rows: Rows, cells: Sequence[Any], name: str = "success") -> list[tuple[bool, ...]]:
     """Return the success of each row, or of the several trials that it counts."""
     successes: list[tuple[bool, ...]] = []
     for i, cell in enumerate(cells):
         try:
             if is_empty(cell):
-                raise ValueError("success is empty: enter yes or no, or remove the row")
+                raise ValueError("empty: enter yes or no, or remove the row")
             won, trials = counts(cell) or (int(truth(cell)), 1)
             successes.append((True,) * won + (False,) * (trials - won))
         except ValueError as error:
-            rows.refuse(i, str(error))
+            rows.refuse(i, f"{name}: {error}")
     return successes

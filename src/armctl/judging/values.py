@@ -35,7 +35,7 @@ def truth(cell: Any) -> bool:
         if cell in (0, 1):
             return bool(cell)
         rate = 0 < cell <= 100 and "a rate rather than one episode's success: a row is needed for each episode"
-        raise ValueError(f"success is {cell:g}, which is {rate or 'neither 0 nor 1'}")
+        raise ValueError(f"{cell:g} is {rate or 'neither 0 nor 1'}")
     text = str(cell).strip().lower()
     if text in YES or text in NO:
         return text in YES
@@ -43,8 +43,8 @@ def truth(cell: Any) -> bool:
     if NUMBER.fullmatch(number):
         if not text.endswith("%"):
             return truth(float(number))
-        raise ValueError(f"success is {text}, a rate rather than one episode's: a row is needed for each episode")
-    raise ValueError(f"success is {str(cell)!r:.60}, which is neither yes nor no")
+        raise ValueError(f"{text} is a rate rather than one episode's: a row is needed for each episode")
+    raise ValueError(f"{str(cell)!r:.60} is neither yes nor no")
 
 
 def counts(cell: Any) -> tuple[int, int] | None:
@@ -54,7 +54,7 @@ def counts(cell: Any) -> tuple[int, int] | None:
         return None
     won, trials = int(match[1]), int(match[2])
     if won > trials or not 0 < trials <= 1_000_000:
-        raise ValueError(f"success is {cell.strip()}, and there cannot be {won} successes in {trials} trials")
+        raise ValueError(f"{cell.strip()}: there cannot be {won} successes in {trials} trials")
     return won, trials
 
 

@@ -1,6 +1,7 @@
 """Judges results made anywhere: `judge` reads episodes, and returns the verdict on them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,8 @@ from armctl.judging.frames import rows_of_frame
 from armctl.judging.read import files_of, policy_names, read_file
 from armctl.judging.result import Judgement
 from armctl.judging.trials import trials_of
+from armctl.study.comparison import concluded
+from armctl.study.names import COMPARISON
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,6 +50,8 @@ def judge(
         paths = [results] if isinstance(results, str | Path) else [*results]
         if not paths:
             raise ConfigurationError("there is nothing to judge: name files or folders of results")
+        if len(paths) == 1 and not chosen and (Path(paths[0]) / STORE).is_file():
+            return _of_own(Path(paths[0]), given)
         own = [Path(path) for path in paths if (Path(path) / STORE).is_file()]
         files = files_of(path for path in paths if Path(path) not in own)
         parts = [rows for file in files for rows in read_file(file)]
@@ -61,3 +66,19 @@ def judge(
     cells = comparisons_of(found, given)
     overall = cells.pop(ALL, None) if len(cells) > 1 else next(iter(cells.values()))
     return Judgement(cells, overall)
+
+
+def _of_own(folder: Path, terms: Terms) -> Judgement:
+    """Return the judgement of a folder that armctl played, with all that is known of it."""
+    from armctl.study.results import read_study
+
+    study = read_study(folder)
+    cells = {}
+    for name, comparison in study.cells.items():
+        if terms.baseline not in (None, *comparison.names):
+            raise unknown_name("policy in these results", terms.baseline, comparison.names)
+        facts = replace(comparison.facts, baseline=terms.baseline or comparison.facts.baseline, margin=terms.margin)
+        cells[name] = concluded(comparison.identity, comparison.env_options, facts, comparison.results, comparison.runs)
+    if study.kind == COMPARISON:
+        return Judgement(cells, next(iter(cells.values())))
+    return Judgement(cells, None, study.result)

@@ -4,10 +4,12 @@ import csv
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from armctl.core.errors import ConfigurationError
 from armctl.core.files import bounded_bytes
+from armctl.judging import log
 from armctl.judging.formats import sb3
 from armctl.judging.rows import Rows
 
@@ -38,8 +40,9 @@ def read(path: Path) -> list[Rows]:
     values = [_fitted(source, number, cells, len(headings)) for number, cells in rows]
     table = Rows(
         source=source, headings=headings, values=values, places=[number for number, _ in rows], notes=notes,
-        comma=delimiter in ";\t",
     )  # fmt: skip
+    if log.FORMAT in header:
+        return [replace(table, known=True, notes=[*notes, *log.notes_on(source, header, len(rows))])]
     return [sb3.monitor(path, table, header) if "t_start" in header else table]
 
 

@@ -19,11 +19,12 @@ def read(folder: Path) -> list[Rows]:
         counted = list(comparison.counted.values())
         columns = [[value for table in counted for value in table.column(field).tolist()] for field in COLUMNS.values()]
         values = list(map(list, zip(*columns, strict=True)))
-        constants = {"task": task or comparison.env} | ({} if setting == UNDISTURBED else {"condition": setting})
+        facts, condition = comparison.facts, {} if setting == UNDISTURBED else {"condition": setting}
         parts.append(
             Rows(
                 source=str(folder), headings=list(COLUMNS), values=values, places=range(1, len(values) + 1),
-                unit="row", known=True, constants=constants, time_limit=comparison.facts.time_limit,
+                unit="row", known=True, constants={"task": task or comparison.env} | condition,
+                time_limit=facts.time_limit, return_bounds=facts.return_bounds,
             )
         )  # fmt: skip
     return parts
