@@ -1,6 +1,6 @@
 """Coverage of intervals and error rates of verdicts, on data like armctl's: mostly wins, and rare disasters.
 
-    python benchmarks/intervals.py [--runs 2000] [--table means|bounds|success|pairs|trainings]
+    python benchmarks/intervals.py [--runs 2000] [--table means|bounds|success|pairs|unpaired|trainings]
 
 Each table simulates its method many times where the truth is known. Coverage is how often a 95 % interval holds it;
 "too low" and "too high" are how often it lies wholly on that side, each of which should be at most 2.5 %. Wrong sign is
@@ -10,6 +10,7 @@ held. Random weights are drawn 1,000 times only, which makes single intervals le
 
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from armctl.core.arrays import Array
 from armctl.stats import intervals as statistics
 from armctl.stats.intervals import Bounds, Estimate, bounded_mean, success_rate, worst_decile
 from armctl.stats.paired import mcnemar, mover
-from armctl.stats.trainings import difference_over_trainings, mean_over_trainings
+from armctl.stats.trainings import difference_over_trainings, mean_over_trainings, superiority_over_trainings
+from armctl.stats.unpaired import newcombe, unconditional
 
 EPISODES = (20, 50, 200, 1000)
 FAILURES = (0.0, 0.001, 0.005, 0.01, 0.05, 0.2, 0.5)
@@ -121,6 +123,62 @@ def pairs(runs: int) -> Iterator[tuple[str, ...]]:
                 f"{100 * wrong:.1f} %", sides(bounded, truth)[0], _wrong_sign(bounded, truth),
                 _wrong_sign(students, truth),
             )  # fmt: skip
+
+
+SIZES = ((10, 10), (20, 100), (100, 100), (50, 500), (1000, 1000))
+"""Numbers of episodes of two policies that play different ones."""
+SUCCESS = ((1.0, 1.0), (0.99, 0.99), (0.95, 0.95), (0.8, 0.8), (0.5, 0.5), (1.0, 0.97), (0.95, 0.85))
+SPREADS = 3.0, 0.3
+"""Standard deviations of the returns of both policies' wins. Their means are the same."""
+
+
+def unpaired(runs: int) -> Iterator[tuple[str, ...]]:
+    """Yield differences in success and return of two policies on different episodes, and how often tests find one.
+
+    Where both succeed equally often, also neither return is higher with a probability of more than one half.
+    """
+    for rates in SUCCESS:
+        for sizes in SIZES:
+            rng = np.random.default_rng(0)
+            several = runs if max(sizes) < 1000 else runs // 4
+            wins = rng.binomial(sizes, rates, size=(several, 2)).tolist()
+            counts = [(a, sizes[0], b, sizes[1]) for a, b in wins]
+            barnard = [unconditional(*count) < 0.05 for count in counts]
+            fisher = [_fisher(*count) < 0.05 for count in counts]
+            returns, welch, higher, ranks = [], [], [], []
+            for _ in range(runs // 10):
+                a, b = (_returns(rng, *kind) for kind in zip(rates, sizes, SPREADS, strict=True))
+                returns.append(statistics.bounded_sum([a, b], [1, -1], BOUNDS).estimate)
+                welch.append(_welch(a, b))
+                higher.append(superiority_over_trainings(a[None], b[None], paired=False)[0].p < 0.05)
+                ranks.append(bool(stats.mannwhitneyu(a, b).pvalue < 0.05))
+            difference = rates[0] - rates[1]
+            gain = difference * (WIN - LOSS)
+            yield (
+                " / ".join(f"{100 * rate:g}" for rate in rates), " / ".join(f"{n:,}" for n in sizes),
+                *sides([newcombe(*count) for count in counts], difference), _share(barnard), _share(fisher),
+                *sides(returns, gain), sides(welch, gain)[0], _share(higher), _share(ranks),
+            )  # fmt: skip
+
+
+def _returns(rng: np.random.Generator, rate: float, n: int, spread: float) -> Array:
+    away = np.clip(rng.normal(0, spread, n), WIN - BOUNDS[1], BOUNDS[1] - WIN)
+    return np.where(rng.random(n) < rate, WIN + away, LOSS)
+
+
+@cache
+def _fisher(wins_a: int, episodes_a: int, wins_b: int, episodes_b: int) -> float:
+    table = np.array([[wins_a, wins_b], [episodes_a - wins_a, episodes_b - wins_b]])
+    return float(stats.fisher_exact(table).pvalue)
+
+
+def _welch(a: Array, b: Array) -> Estimate:
+    interval = stats.ttest_ind(a, b, equal_var=False).confidence_interval()
+    return Estimate(float(a.mean() - b.mean()), float(interval.low), float(interval.high))
+
+
+def _share(happened: list[bool]) -> str:
+    return f"{100 * float(np.mean(happened)):.1f} %"
 
 
 def _gain(only_a: int, only_b: int, n: int) -> Array:
@@ -239,6 +297,14 @@ TABLES = {
         (
             "episodes", "only a wins", "only b wins", "success: MOVER", "too low", "too high", "wrong sign, McNemar",
             "return: bounded mean", "wrong sign", "wrong sign, Student's t",
+        ),
+    ),
+    "unpaired": (
+        unpaired,
+        (
+            "success, %", "episodes", "success: Newcombe", "too low", "too high", "p < 5 %, Barnard", "p < 5 %, Fisher",
+            "return: random weights", "too low", "too high", "Welch", "higher return: p < 5 %, random weights",
+            "p < 5 %, Mann-Whitney",
         ),
     ),
     "bounds": (

@@ -18,6 +18,7 @@ from armctl.stats.across_tasks import (
 from armctl.stats.correction import holm
 from armctl.stats.intervals import Estimate, bounded_mean, success_rate
 from armctl.stats.paired import mcnemar
+from armctl.stats.unpaired import newcombe, unconditional
 
 A, B = Choice("a"), Choice("b")
 
@@ -216,3 +217,24 @@ def test_the_rate_of_a_choice_is_its_share_of_wins_in_the_episodes_that_it_playe
     success = pd.DataFrame({"a": [1.0, 0.0, 1.0, 1.0, np.nan], "b": [0.0] * 5})
     assert rate_of(success, Choice("a")) == success_rate(np.array([True, False, True, True]))
     assert rate_of(success, Choice("b")).value == 0
+
+
+def test_different_episodes_are_compared_without_pairs():
+    cells = random_tables(0, episodes=60)
+    cells["0"] = table(a=np.arange(60) < 57, b=np.arange(60) > 5)
+    cells["1"] = table(a=np.arange(60) < 55, b=np.r_[np.zeros(50), np.full(10, np.nan)])
+    one, other = (pairwise_by_task(cells, "0", *sides, paired=False) for sides in ((A, B), (B, A)))
+    for name, pair in one.items():
+        a, b = (cells[name][policy].dropna() for policy in "ab")
+        assert (pair.wins, pair.sample_sizes) == ((a.sum(), b.sum()), (len(a), len(b)))
+        assert pair.difference == newcombe(int(a.sum()), len(a), int(b.sum()), len(b))
+        assert values(other[name].difference) == pytest.approx(values(-pair.difference))
+        assert other[name].p == pytest.approx(pair.p)
+    assert one["0"].p == unconditional(57, 60, 54, 60)
+    assert one["1"].better == 1 == -other["1"].better
+    assert one["1"].changed == 1 == -other["1"].changed
+    assert one["1"].episodes == 50
+    expected = [cells["1"]["a"].mean(), -cells["1"]["b"].mean(), -cells["0"]["a"].mean(), cells["0"]["b"].mean()]
+    assert one["1"].change.value == pytest.approx(sum(expected))
+    never = {"0": cells["0"].assign(b=np.nan)}
+    assert pairwise_by_task(never, "0", A, B, paired=False) == {}

@@ -77,6 +77,28 @@ def group(values):
     )
 
 
+def test_a_change_on_other_episodes_has_no_pairs():
+    rng = np.random.default_rng(0)
+    for num_trainings in (1, 16):
+        names = pd.MultiIndex.from_product(
+            [[f"g[{i}]" for i in range(num_trainings)], range(60)], names=["policy", "episode"]
+        )
+        before, after = (
+            pd.DataFrame(
+                {"success": rng.random(len(names)) < rate, "return": rng.normal(10 * rate, 1, len(names))}, names
+            )
+            for rate in (0.95, 0.4)
+        )
+        fewer = after.reset_index().query("episode < 40")
+        for score in ("success", "return"):
+            p, change = change_between(before.reset_index(), fewer, score, paired=False)
+            assert p < 0.05
+            assert change < -0.3
+            p, change = change_between(before.reset_index(), before.reset_index(), score, paired=False)
+            assert (p, change) == pytest.approx((1, 0))
+    assert change_between(before.reset_index(), fewer[:0], "success", paired=False) == (1.0, 0.0)
+
+
 def test_a_group_of_trainings_goes_by_signs_too():
     rng = np.random.default_rng(2)
     before, after = np.concatenate([returns(rng, 0.95) for _ in range(3)], axis=1)

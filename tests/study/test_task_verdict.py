@@ -15,6 +15,7 @@ from armctl.stats.correction import holm
 from armctl.stats.intervals import Estimate, bounded_difference
 from armctl.stats.paired import mcnemar
 from armctl.study import Study, sweep
+from armctl.study.suite_tables import success_test, task_table
 from armctl.study.task_verdict import TaskVerdict, holm_corrected, suite_headline, task_verdict
 
 from ..report.pages import text_of
@@ -231,3 +232,19 @@ def test_a_task_without_one_of_the_kinds_says_which(kind, missing):
     assert one.rate(Choice("reach_ik")).value == 1
     assert TaskVerdict("armctl/Some-v0", [], {}, {}).verdict == "no episode was finished undisturbed"
     assert TaskVerdict("armctl/Some-v0", played, {}, {}).verdict == "the environment does not say what a success is"
+
+
+def test_a_verdict_without_pairs_says_so():
+    apart = TaskPair(50, 0, 0, 1e-4, wins=(50, 35), sample_sizes=(50, 60))
+    (found,) = holm_corrected([answer_of(apart)])
+    assert found.undisturbed.better == 1
+    assert found.verdict.startswith("Classical is better")
+    assert found.verdict.endswith("; on different episodes")
+    assert success_test([found]) == "Barnard's exact test, on different episodes"
+    both = [found, answer_of(head(3, 3))]
+    assert (
+        success_test(both)
+        == "McNemar's exact test, on the same episodes, or Barnard's exact test, on different episodes"
+    )
+    assert success_test(both) in task_table(both, 50, 0, quick=True).caption
+    assert success_test(both[1:]) == "McNemar's exact test, on the same episodes"

@@ -46,19 +46,19 @@ def text_of(*args, **options):
 LIMIT = 100
 
 
-def played(wins, episodes=400, steps=None, returns=None):
+def played(wins, episodes=400, steps=None, returns=None, compare=paired_difference):
     """Summaries and pairs of policies that won these episodes, in so many steps (their numbers, or those of each)."""
     won = {name: np.isin(np.arange(episodes), list(numbers)) for name, numbers in wins.items()}
-    return compared(won, steps, returns)
+    return compared(won, steps, returns, compare)
 
 
-def compared(won, steps=None, returns=None):
+def compared(won, steps=None, returns=None, compare=paired_difference):
     earned = returns or {name: of * 1.0 for name, of in won.items()}
     late = steps and {name: np.where(of, steps[name], LIMIT) for name, of in won.items()}
     couples = list(itertools.combinations(won, 2))
     num = len(couples)
     pairs = [
-        paired_difference(
+        compare(
             a, b, (won[a], won[b]), (earned[a], earned[b]), (late[a], late[b]) if late else None, (0, 1), LIMIT, num
         )
         for a, b in couples

@@ -25,7 +25,7 @@ from armctl.stats.across_tasks import (
 from armctl.stats.intervals import Estimate
 from armctl.study.names import setting_name, task_name
 from armctl.study.study import Study
-from armctl.study.suite_tables import test_of
+from armctl.study.suite_tables import success_test
 from armctl.study.task_verdict import CHOSEN, FIRST, TaskVerdict, suite_headline
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import SPARED
@@ -48,7 +48,7 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
         "details": details,
         "suite": suite,
         "chosen": FIRST if suite.quick else CHOSEN,
-        "test": test_of(verdicts),
+        "test": success_test(verdicts),
         "folder": folder.resolve().name,
         "command": _command(suite),
         "tasks": [{"verdict": task, "short": task_name(task.env), "link": reports.get(task.env)} for task in verdicts],

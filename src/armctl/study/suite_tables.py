@@ -33,14 +33,14 @@ def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick:
             }
         )  # fmt: skip
     caption = (
-        f"{FIRST if quick else CHOSEN} Undisturbed. Difference with MOVER's 95 % interval; p: {test_of(verdicts)}, "
-        "after Holm's correction for all tasks, and for success and steps together."
+        f"{FIRST if quick else CHOSEN} Undisturbed. Difference with MOVER's 95 % interval; "
+        f"p: {success_test(verdicts)}, after Holm's correction for all tasks, and for success and steps together."
     )
     title = f"{len(rows)} tasks: {episodes} episodes of seed {seed} in each setting"
     return Table("tasks", title, columns, rows, records, caption)
 
 
-def test_of(verdicts: Sequence[TaskVerdict]) -> str:
+def success_test(verdicts: Sequence[TaskVerdict]) -> str:
     """Return the test of success undisturbed, and on which episodes policies were compared, in words."""
     paired = {pair.wins is None for verdict in verdicts if (pair := verdict.undisturbed)}
     different = f"{UNCONDITIONAL}'s exact test, on different episodes"
