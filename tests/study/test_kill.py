@@ -21,9 +21,10 @@ PLAYED = ["random", "reach_ik", "--out", "out", "--set", "max_episode_steps=12",
 COMMANDS = {
     "compare": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3"],
     "workers": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3", "--workers", "2"],
+    "until": ["compare", *PLAYED, "--until", "decided", "--at-most", "60", "--margin", "0.01"],
     "sweep": ["sweep", *PLAYED, "--episodes", "12", "--disturbance", "delay=1,2", "--disturbance", "noise=0.02"],
 }
-EPISODES = {"compare": 120, "workers": 120, "sweep": 96}
+EPISODES = {"compare": 120, "workers": 120, "until": 40, "sweep": 96}
 KILLS = 3
 
 
@@ -82,6 +83,7 @@ def kill_at(moment, command, cwd, rng, of_worker):
         ("compare", False),
         ("workers", False),
         ("workers", True),
+        ("until", False),
         ("sweep", False),
     ],
 )
@@ -89,7 +91,7 @@ def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial, sized)
     """In a quick run, it is killed once."""
     out, kept, rng = tmp_path / "out", {}, random.Random(trial)
     for _ in range(sized(1, KILLS)):
-        kill_at(rng.randrange(EPISODES[verb] - len(kept)), COMMANDS[verb], tmp_path, rng, of_worker)
+        kill_at(rng.randrange(max(1, EPISODES[verb] - len(kept))), COMMANDS[verb], tmp_path, rng, of_worker)
         now = finished(out)
         assert kept.items() <= now.items()
         kept = now
@@ -97,7 +99,7 @@ def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial, sized)
     after = finished(out)
     assert kept.items() <= after.items()
     assert len(after) == EPISODES[verb]
-    assert tables(out) == uninterrupted("sweep" if verb == "sweep" else "compare")
+    assert tables(out) == uninterrupted("compare" if verb == "workers" else verb)
     assert not list(out.rglob("*unfinished*"))
 
 

@@ -71,9 +71,7 @@ armctl.compare(["random", "reach_ik"], episodes=40, out={str(tmp_path)!r}, env_o
     assert (first.judged, killed.judged, killed.load_end) == (10, None, None)
     resumed = compare(**both, episodes=40)
     assert resumed.looks == read_comparison(tmp_path).looks == [10]
-    words = "; after an earlier look at 10 episodes, p is too small and intervals are too narrow"
-    assert words in str(resumed.verdict)
-    assert words in resumed.verdict.result
+    assert resumed.verdict.result.endswith("; p and intervals hold at any number of episodes.")
     assert read_comparison(tmp_path).verdict == resumed.verdict
     assert [run.judged for run in read_cell(tmp_path).runs] == [10, None, 40]
 
