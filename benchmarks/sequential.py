@@ -1,6 +1,6 @@
 """Errors, coverage and power of `compare --until decided`, on pairs of episodes like armctl's: mostly wins.
 
-    python benchmarks/sequential.py [--runs 2000] [--table errors|power|looks|priors|blocks]
+    python benchmarks/sequential.py [--runs 2000] [--table errors|power|looks|real|priors|blocks]
 
 Each row simulates pairs of episodes whose truth is known. Outcomes of a pair are independent of those of other pairs;
 those of two policies in the same episode are independent too, unless a row states the share of discordant episodes.
@@ -21,7 +21,7 @@ from scipy import stats
 import armctl
 from armctl.core.arrays import Array
 from armctl.stats import sequential
-from armctl.stats.difference import MARGIN, within
+from armctl.stats.difference import LEVELS, MARGIN, within
 from armctl.stats.paired import mcnemar, mover
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.stats.sequential import block_ends
@@ -150,7 +150,8 @@ def power(runs: int) -> Iterator[tuple[str, ...]]:
         yield (
             percent(only_a), percent(only_b), "better" if differ else "equivalent", f"{fixed:,}",
             percent(np.mean(right <= fixed)), _median(right), _median(np.where(stop <= episodes, stopped, NEVER)),
-            percent(np.mean(np.minimum(stop, episodes) / fixed)),
+            f"{np.quantile(right, 0.8):,.0f}" if np.mean(right <= episodes) > 0.8 else "-",
+            percent(np.mean(np.minimum(stop, episodes)) / fixed),
         )  # fmt: skip
 
 
@@ -248,6 +249,26 @@ def blocks(runs: int) -> Iterator[tuple[str, ...]]:
         yield name, f"{mean:,.0f}", percent(mean / exact - 1), f"{number:.1f}"
 
 
+REAL = (
+    ("armctl/ArmReach-v0", "reach_ik", "random"),
+    ("armctl/ArmReach-v0", "reach_ik", "reach_ppo"),
+    ("armctl/BridgeCross-v0", "bridge_mpc", "bridge_ppo"),
+)
+"""Environment and two policies: one of them clearly better, both equivalent, and about 2 points apart."""
+
+
+def real(runs: int) -> Iterator[tuple[str, ...]]:
+    """Yield what `compare --until decided --at-most` says of policies on seed 0, and a fixed design for 2 points."""
+    for env, a, b in REAL:
+        comparison = armctl.compare([a, b], env, episodes=runs, until="decided", seed=0, worlds=20)
+        (pair,) = comparison.differences
+        played = comparison.facts.planned
+        share = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
+        fixed = max(episodes_to_detect(MARGIN, share, tests=LEVELS), episodes_to_show_equivalence(MARGIN, share))
+        verdict = comparison.verdict.result.partition(";")[0] if comparison.verdict else ""
+        yield f"{a}, {b}", verdict, f"{pair.only_a} / {pair.only_b}", f"{played:,}", f"{fixed:,}"
+
+
 TABLES = {
     "errors": (
         errors,
@@ -260,7 +281,7 @@ TABLES = {
         power,
         (
             "only a wins", "only b wins", "claim", "fixed design, power 80 %", "claimed by then", "median episodes",
-            "median, in blocks", "mean, of the fixed",
+            "median, in blocks", "claimed in 80 % after", "mean, of the fixed",
         ),
     ),
     "looks": (
@@ -271,6 +292,7 @@ TABLES = {
         ),
     ),
     "priors": (priors, ("only a wins", "only b wins", "beta 0.1", "0.25 (chosen)", "0.5", "1", "2")),
+    "real": (real, ("policies", "verdict", "only a / only b", "episodes", "fixed design for 2 points")),
     "blocks": (blocks, ("blocks", "mean episodes", "more than after each episode", "mean number of blocks")),
 }  # fmt: skip
 
