@@ -50,11 +50,11 @@ def refuted(values: Array, mean: float, tail: float, bounds: tuple[float, float]
     It is `NEVER` where it is not. As `ConfidenceSequence`, for many sequences at once.
     """
     shares, share = ((x - bounds[0]) / (bounds[1] - bounds[0]) for x in (values, mean))
-    capital = np.full(values.shape, -np.inf)
+    capital = np.zeros(values.shape)
     for bet, weight in zip(*sequential._bets(), strict=True):
-        gains = np.log1p(bet * (shares / share - 1.0))
-        np.logaddexp(capital, weight + np.cumsum(gains, axis=1), out=capital)
-    reached = capital >= -np.log(tail)
+        with np.errstate(over="ignore"):
+            capital += np.exp(weight) * np.cumprod(1.0 + bet * (shares / share - 1.0), axis=1)
+    reached = capital >= 1 / tail
     return np.where(reached.any(axis=1), reached.argmax(axis=1) + 1, NEVER)
 
 
@@ -183,7 +183,7 @@ def looks(runs: int) -> Iterator[tuple[str, ...]]:
     for first in (20, 100):
         for name in ("50 %", "80 %", "90 %", "95 %", "98 %"):
             values = differences(PAIRS[name] / 2, PAIRS[name] / 2, runs // 2, episodes=LONGEST)
-            anytime = np.minimum(*claimed(values)[:2])
+            anytime = np.minimum(refuted(values, 0.0, SIDE), refuted(-values, 0.0, SIDE))
             cells = []
             for more in PROTOCOLS.values():
                 claims = np.array([_looked(run, at, first, more) for run, at in zip(values, anytime, strict=True)])

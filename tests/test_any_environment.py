@@ -114,6 +114,16 @@ def test_success_by_return(home):
     assert rates[0] > rates[1]
 
 
+def test_a_comparison_by_return_stops_when_it_is_decided_and_one_without_pairs_is_refused(home):
+    until = ["--until", "decided", "--at-most", "200", "--out", "r"]
+    printed = " ".join(armctl("compare", *PAIR, "--env", "odd_environments.py:Silent", *until, cwd=home).stdout.split())
+    assert "of at most 200 episodes: p and intervals hold at any number of episodes." in printed
+    assert "by betting, which holds at any number of episodes" in printed
+    refused = armctl("compare", *PAIR, "--env", "odd_environments.py:Deaf", *until[:4], cwd=home, check=False)
+    assert refused.returncode == 2
+    assert "no method holds at any number of them" in " ".join(refused.stderr.split())
+
+
 @pytest.mark.parametrize("name", ["Deaf", "DeafLater", "Remembering"])
 def test_an_environment_that_ignores_its_seed_is_judged_without_pairs(home, name):
     arguments = [*PAIR, "--env", f"odd_environments.py:{name}", "--episodes", "12"]

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.agents.costs import TrainingCost
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import bare_id
 from armctl.envs import ERROR, RETURN_BOUNDS, EpisodeVectorEnv, ThirdPartyVectorEnv
@@ -38,13 +37,17 @@ from armctl.stats.intervals import Bounds
 from armctl.study.comparison import Comparison, concluded
 from armctl.study.events import Events
 from armctl.study.plan import Cell, Plan
-from armctl.verdict.facts import Facts, PolicyFacts
+from armctl.verdict.facts import Facts, PolicyFacts, training_cost_of
 from armctl.verdict.sentences import is_decided
 
 NOT_AN_ARMCTL_TASK = (
     "{env} is not made of a task of armctl's: its minimum times, feasibility, contacts and clearances are unknown."
 )
 
+NO_PAIRS = (
+    "{env} does not obey its seed, so that episodes are no pairs, and no method holds at any number of them: leave out "
+    "--until decided"
+)
 BlockPlayer = Callable[[Mapping[str, Sequence[int]], Collection[str]], Generator[RolloutBatch, None, None]]
 
 
@@ -182,7 +185,7 @@ class _Line:
             policies={
                 name: PolicyFacts(
                     policy.sees,
-                    _training_cost_of(policy),
+                    training_cost_of(policy),
                     events.construction_ms[name],
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
@@ -263,13 +266,6 @@ def _results(writer: CellWriter, line: _Line, events: Events) -> EpisodeTable:
     return results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.policies))
 
 
-def _training_cost_of(policy: Policy) -> TrainingCost:
-    """Return the cost of a policy's training: its steps are decisions, unless its card says otherwise."""
-    steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
-    cost = getattr(policy, "training_cost", None)
-    return cost if isinstance(cost, TrainingCost) else TrainingCost(steps, minutes, steps or None)
-
-
 def _policies(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: Events) -> dict[str, Policy]:
     """Return the policies, built before anything is reset; without any that write to the world."""
     policies = dict[str, Policy]()
@@ -294,6 +290,8 @@ def _notes(line: _Line, task: Task) -> list[str]:
         check_sendable(line.playing)
     if task.seeding is None:
         task.seeding = check_seed(cell.env, cell.env_options)
+    if line.plan.until_decided and not task.seeding.obeyed:
+        raise ConfigurationError(NO_PAIRS.format(env=bare_id(cell.env)))
     notes += task.seeding.notes
     if isinstance(env, ThirdPartyVectorEnv):
         notes.append(NOT_AN_ARMCTL_TASK.format(env=bare_id(cell.env)))

@@ -38,6 +38,13 @@ class PolicyFacts:
     """Kind of policy as it was declared for results made elsewhere; None: its training cost tells."""
 
 
+def training_cost_of(policy: Any) -> TrainingCost:
+    """Return the cost of a policy's training: its steps are decisions, unless its card says otherwise."""
+    steps, minutes = policy.training_steps, getattr(policy, "training_minutes", None)
+    cost = getattr(policy, "training_cost", None)
+    return cost if isinstance(cost, TrainingCost) else TrainingCost(steps, minutes, steps or None)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Facts:
     """Facts about a cell besides its episodes and runs."""

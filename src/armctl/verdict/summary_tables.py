@@ -199,10 +199,10 @@ def difference_table(pairs: Sequence[Difference], baseline: str | None = None) -
             rows.append([names, success, counts, Cell(p_value(p.success)), difference, steps])
         else:
             rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(p.higher))])
+    betting = "by betting, which holds at any number of episodes" * any(pair.any_number for pair in pairs)
     if by_success:
-        caption = (
-            f"p: {'McNemar' if paired else UNCONDITIONAL}'s exact test for equal success, after Holm's correction "
-        )
+        exact = f"{'McNemar' if paired else UNCONDITIONAL}'s exact test"
+        caption = f"p: {f'test {betting},' if betting else exact} for equal success, after Holm's correction "
         caption += f"for {family}, and for success, steps and returns together. Intervals: 95 %, each pair by itself."
         if any(pair.crossed for pair in pairs):
             caption += " [*]: for other trainings and other episodes, whatever the distribution of trainings."
@@ -213,7 +213,9 @@ def difference_table(pairs: Sequence[Difference], baseline: str | None = None) -
             ("share of episodes in which", "sign test") if paired else ("probability with which", RANDOM_WEIGHTS)
         )
         caption = f"a is better: {share} a has the higher return; a tie counts half. "
-        caption += f"p: {test}, after Holm's correction for {family}. Intervals: 95 %."
+        caption += (
+            f"p: {' '.join(filter(None, (test, betting)))}, after Holm's correction for {family}. Intervals: 95 %."
+        )
     records = [
         {
             **dataclasses.asdict(pair), "p_corrected": p.success if by_success else p.higher,
