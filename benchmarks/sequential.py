@@ -262,11 +262,11 @@ def real(runs: int) -> Iterator[tuple[str, ...]]:
     for env, a, b in REAL:
         comparison = armctl.compare([a, b], env, episodes=runs, until="decided", seed=0, worlds=20)
         (pair,) = comparison.differences
-        played = comparison.facts.planned
+        num_episodes = comparison.facts.planned
         share = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
         fixed = max(episodes_to_detect(MARGIN, share, tests=LEVELS), episodes_to_show_equivalence(MARGIN, share))
         verdict = comparison.verdict.result.partition(";")[0] if comparison.verdict else ""
-        yield f"{a}, {b}", verdict, f"{pair.only_a} / {pair.only_b}", f"{played:,}", f"{fixed:,}"
+        yield f"{a}, {b}", verdict, f"{pair.only_a} / {pair.only_b}", f"{num_episodes:,}", f"{fixed:,}"
 
 
 TABLES = {
