@@ -10,18 +10,27 @@ import textwrap
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-FENCE = re.compile(r"^```python (\S+/\S+\.py) (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(
+    r"^```python (\S+/\S+\.py) (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL
+)
 
 
 def renewed(page: str) -> str:
     """Return a page with updated excerpts."""
-    return FENCE.sub(lambda fence: f"```python {fence[1]} {fence[2]}\n{excerpt(fence[1], fence[2])}\n```", page)
+    return FENCE.sub(
+        lambda fence: (
+            f"```python {fence[1]} {fence[2]}\n{excerpt(fence[1], fence[2])}\n```"
+        ),
+        page,
+    )
 
 
 def excerpt(file: str, names: str) -> str:
     """Return the lines of a file from the first of the names, which are joined by `..`, to the end of the last."""
     source = (FOLDER.parent / file).read_text()
-    first, last = ((names.split("..") * 2)[i] for i in (0, 1 if ".." in names else 0))
+    first, last = (
+        (names.split("..") * 2)[i] for i in (0, 1 if ".." in names else 0)
+    )
     start, end = _lines(source, first)[0], _lines(source, last)[1]
     return textwrap.dedent("\n".join(source.splitlines()[start - 1 : end]))
 
@@ -35,7 +44,15 @@ def _lines(source: str, name: str) -> tuple[int, int]:
             raise LookupError(f"there is no {name}")
         body = getattr(node, "body", [])
     assert node is not None
-    start = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", ()))])
+    start = min(
+        [
+            node.lineno,
+            *(
+                decorator.lineno
+                for decorator in getattr(node, "decorator_list", ())
+            ),
+        ]
+    )
     return start, node.end_lineno or start
 
 
@@ -43,9 +60,17 @@ def _names(node: ast.stmt) -> set[str]:
     """Return the names that a statement defines, or the function that it calls."""
     if isinstance(node, ast.ClassDef | ast.FunctionDef):
         return {node.name}
-    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and isinstance(node.value.func, ast.Name):
+    if (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Call)
+        and isinstance(node.value.func, ast.Name)
+    ):
         return {node.value.func.id}
-    return {one.id for one in ast.walk(node) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)}
+    return {
+        one.id
+        for one in ast.walk(node)
+        if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)
+    }
 
 
 if __name__ == "__main__":

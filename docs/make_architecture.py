@@ -13,7 +13,13 @@ SVG = ROOT / "docs" / "architecture.svg"
 WIDTH, ROW, GAP, MARGIN, LEGEND = 980, 38, 8, 10, 46
 """Sizes in pixels: of the picture, a floor, the room between two, the rim, and the legend."""
 
-PLUG_IN, STUDY, BELIEF, TRUTH, SHARED = "#f3e3c3", "#d9e7f7", "#d8efdb", "#f6d5d1", "#e8e8ec"
+PLUG_IN, STUDY, BELIEF, TRUTH, SHARED = (
+    "#f3e3c3",
+    "#d9e7f7",
+    "#d8efdb",
+    "#f6d5d1",
+    "#e8e8ec",
+)
 COLOURS = {
     PLUG_IN: "plug-ins, by entry point",
     STUDY: "from cells to verdicts",
@@ -71,8 +77,14 @@ PACKAGES = {
 
 def floors() -> list[list[str]]:
     """Return the packages of each floor, from top to bottom."""
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    layers = next(contract["layers"] for contract in settings if contract["type"] == "layers")
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"][
+        "importlinter"
+    ]["contracts"]
+    layers = next(
+        contract["layers"]
+        for contract in settings
+        if contract["type"] == "layers"
+    )
     return [layer.split(" | ") for layer in layers]
 
 
@@ -88,7 +100,10 @@ def box(name: str, x: float, y: float, width: float) -> str:
     """Return a package: its name, its text, and its places in the walks."""
     package = PACKAGES[name]
     places = [(package.episode, EPISODE), (package.action, ACTION)]
-    marks = [mark(x + width - 16 - 24 * i, y + ROW / 2, *place) for i, place in enumerate(p for p in places if p[0])]
+    marks = [
+        mark(x + width - 16 - 24 * i, y + ROW / 2, *place)
+        for i, place in enumerate(p for p in places if p[0])
+    ]
     return (
         f'<rect x="{x}" y="{y}" width="{width}" height="{ROW}" rx="5" fill="{package.colour}" stroke="#888"/>'
         f'<text x="{x + 10}" y="{y + ROW / 2 + 4}"><tspan font-weight="bold">{name}</tspan>'
@@ -100,7 +115,10 @@ def drawing() -> str:
     """Return the diagram as SVG."""
     parts, y = [], float(MARGIN)
     for floor in floors():
-        shares = [60 + 7.2 * len(name) + 6 * len(PACKAGES[name].text) for name in floor]
+        shares = [
+            60 + 7.2 * len(name) + 6 * len(PACKAGES[name].text)
+            for name in floor
+        ]
         x, room = float(MARGIN), WIDTH - 2 * MARGIN - GAP * (len(floor) - 1)
         for name, share in zip(floor, shares, strict=True):
             width = round(room * share / sum(shares), 1)
@@ -109,15 +127,28 @@ def drawing() -> str:
         y += ROW + GAP
     for i, (colour, text) in enumerate(COLOURS.items()):
         x = MARGIN + 200 * i
-        parts.append(f'<rect x="{x}" y="{y}" width="14" height="14" fill="{colour}" stroke="#888"/>')
+        parts.append(
+            f'<rect x="{x}" y="{y}" width="14" height="14" fill="{colour}" stroke="#888"/>'
+        )
         parts.append(f'<text x="{x + 20}" y="{y + 12}">{text}</text>')
-    parts += [mark(MARGIN + 10, y + 32, "1", EPISODE), mark(MARGIN + 410, y + 32, "a", ACTION)]
-    parts.append(f'<text x="{MARGIN + 26}" y="{y + 36}">an episode, from command to verdict</text>')
-    parts.append(f'<text x="{MARGIN + 426}" y="{y + 36}">an action, from policy to MuJoCo and back</text>')
+    parts += [
+        mark(MARGIN + 10, y + 32, "1", EPISODE),
+        mark(MARGIN + 410, y + 32, "a", ACTION),
+    ]
+    parts.append(
+        f'<text x="{MARGIN + 26}" y="{y + 36}">an episode, from command to verdict</text>'
+    )
+    parts.append(
+        f'<text x="{MARGIN + 426}" y="{y + 36}">an action, from policy to MuJoCo and back</text>'
+    )
     size = f'width="{WIDTH}" height="{y + LEGEND:g}" viewBox="0 0 {WIDTH} {y + LEGEND:g}"'
     style = 'font-family="Helvetica, Arial, sans-serif" font-size="12.5" fill="#111"'
     background = '<rect width="100%" height="100%" fill="white"/>'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {style}>\n{background}\n' + "\n".join(parts) + "\n</svg>\n"
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} {style}>\n{background}\n'
+        + "\n".join(parts)
+        + "\n</svg>\n"
+    )
 
 
 if __name__ == "__main__":

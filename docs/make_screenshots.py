@@ -23,17 +23,29 @@ TIMEOUT_MS = 120_000
 def main(
     report: Path,
     picture: Path,
-    height: Annotated[int, typer.Option(help="How much of the page, in pixels.")] = 1480,
-    section: Annotated[str, typer.Option(help="The heading of the only section to show.")] = "",
+    height: Annotated[
+        int, typer.Option(help="How much of the page, in pixels.")
+    ] = 1480,
+    section: Annotated[
+        str, typer.Option(help="The heading of the only section to show.")
+    ] = "",
 ) -> None:
     """Render a page, and write the picture of its head or of one section."""
     with sync_playwright() as playwright:
         chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"], timeout=TIMEOUT_MS)
+        browser = playwright.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox"], timeout=TIMEOUT_MS
+        )
         page = browser.new_page(viewport={"width": WIDTH, "height": height})
         page.goto(report.resolve().as_uri(), timeout=TIMEOUT_MS)
         page.wait_for_selector(".js-plotly-plot", timeout=TIMEOUT_MS)
-        shown = page.locator("section", has=page.get_by_role("heading", name=section)).first if section else page
+        shown = (
+            page.locator(
+                "section", has=page.get_by_role("heading", name=section)
+            ).first
+            if section
+            else page
+        )
         shown.screenshot(path=picture, timeout=TIMEOUT_MS)
         browser.close()
     with Image.open(picture) as image:

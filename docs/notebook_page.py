@@ -37,7 +37,9 @@ def as_markdown(notebook: Path) -> tuple[str, dict[str, bytes]]:
 
 
 def _text(output: dict[str, Any]) -> str:
-    return "".join(output["text"] if "text" in output else output["data"]["text/plain"]).rstrip()
+    return "".join(
+        output["text"] if "text" in output else output["data"]["text/plain"]
+    ).rstrip()
 
 
 def _table(html: str) -> str:
@@ -50,6 +52,13 @@ def _drawn(formula: re.Match[str]) -> str:
     block, inline = formula.groups()
     tex = (block or inline).replace(r"\top", "T").strip()
     svg = io.StringIO()
-    mathtext.math_to_image(f"${tex}$", svg, prop=FontProperties(size=12), format="svg")
-    picture = re.sub(r"^.*?(?=<svg)|<metadata>.*?</metadata>|\n\s*", " ", svg.getvalue(), flags=re.DOTALL).strip()
+    mathtext.math_to_image(
+        f"${tex}$", svg, prop=FontProperties(size=12), format="svg"
+    )
+    picture = re.sub(
+        r"^.*?(?=<svg)|<metadata>.*?</metadata>|\n\s*",
+        " ",
+        svg.getvalue(),
+        flags=re.DOTALL,
+    ).strip()
     return f'<span class="formula{" block" if block else ""}" role="img" aria-label="{tex}">{picture}</span>'

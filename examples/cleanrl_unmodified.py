@@ -23,12 +23,16 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TransformObservation
-from held_out import arguments, report
 
 from armctl.shaping import ShapedEnv
+from held_out import arguments, report
 
 ID = "armctl:armctl/ArmReach-v0"
-OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features"}
+OPTIONS = {
+    "actions": "normalized",
+    "control": "relative",
+    "observation": "features",
+}
 GAMMA = 0.99  # CleanRL's default
 
 
@@ -42,32 +46,58 @@ class FormerVectorEnv(SyncVectorEnv):
         """Step all worlds."""
         *step, infos = super().step(actions)
         if "final_info" in infos:
-            ended, episode = infos["_final_info"], infos["final_info"]["episode"]
-            former = [{name: episode[name][i] for name in ("r", "l")} for i in range(self.num_envs)]
-            infos["final_info"] = [{"episode": former[i]} if ended[i] else None for i in range(self.num_envs)]
+            ended, episode = (
+                infos["_final_info"],
+                infos["final_info"]["episode"],
+            )
+            former = [
+                {name: episode[name][i] for name in ("r", "l")}
+                for i in range(self.num_envs)
+            ]
+            infos["final_info"] = [
+                {"episode": former[i]} if ended[i] else None
+                for i in range(self.num_envs)
+            ]
         return *step, infos
 
 
 def make(**options):
     """The environment, with its options and shaping."""
-    return ShapedEnv(gymnasium.make(ID, **OPTIONS, **options), "ik", gamma=GAMMA, scale=150)
+    return ShapedEnv(
+        gymnasium.make(ID, **OPTIONS, **options), "ik", gamma=GAMMA, scale=150
+    )
 
 
 given = arguments(__doc__, steps=150_000)
 gymnasium.register("ReachOfCleanRL-v0", entry_point=make)
 gymnasium.vector.SyncVectorEnv = FormerVectorEnv
-gymnasium.wrappers.TransformObservation = functools.partial(TransformObservation, observation_space=None)
-sys.argv = ["ppo_continuous_action.py", "--env-id=ReachOfCleanRL-v0", "--cuda=False"]
+gymnasium.wrappers.TransformObservation = functools.partial(
+    TransformObservation, observation_space=None
+)
+sys.argv = [
+    "ppo_continuous_action.py",
+    "--env-id=ReachOfCleanRL-v0",
+    "--cuda=False",
+]
 sys.argv += [f"--total-timesteps={given.steps}", f"--seed={given.seed}"]
-trained = runpy.run_path(find_spec("cleanrl.ppo_continuous_action").origin, run_name="__main__")
+trained = runpy.run_path(
+    find_spec("cleanrl.ppo_continuous_action").origin, run_name="__main__"
+)
 seen = trained["envs"].envs[0].get_wrapper_attr("obs_rms")
 
 
 def policy(observation):
     """The mean action, for the observation as CleanRL normalises and clips it."""
-    normalised = np.clip((observation - seen.mean) / np.sqrt(seen.var + 1e-8), -10, 10)
+    normalised = np.clip(
+        (observation - seen.mean) / np.sqrt(seen.var + 1e-8), -10, 10
+    )
     with torch.no_grad():
-        return trained["agent"].actor_mean(torch.as_tensor(normalised, dtype=torch.float32)).numpy().clip(-1, 1)
+        return (
+            trained["agent"]
+            .actor_mean(torch.as_tensor(normalised, dtype=torch.float32))
+            .numpy()
+            .clip(-1, 1)
+        )
 
 
 report(policy, ID, given.episodes, **OPTIONS)

@@ -18,7 +18,6 @@ from pathlib import Path
 import gymnasium
 import minari
 import numpy as np
-from held_out import arguments, report
 from imitation.algorithms.bc import BC
 from imitation.data.rollout import flatten_trajectories
 from imitation.data.types import Trajectory
@@ -26,20 +25,37 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from armctl.datasets.collect import collect
 from armctl.tasks.reach.observation import FEATURES, OBSERVATION
+from held_out import arguments, report
 
 ID = "armctl:armctl/ArmReach-v0"
 OPTIONS = {"control": "relative", "observation": {**OBSERVATION, **FEATURES}}
 
 given = arguments(__doc__, steps=10_000)
 folder = Path(f"runs/reach_ik-{given.seed}-v0")
-collect("reach_ik", ID, episodes=500, worlds=50, seed=given.seed, env_options=OPTIONS, out=folder, overwrite=True)
+collect(
+    "reach_ik",
+    ID,
+    episodes=500,
+    worlds=50,
+    seed=given.seed,
+    env_options=OPTIONS,
+    out=folder,
+    overwrite=True,
+)
 env = gymnasium.make(ID, **OPTIONS)
 low, high = env.action_space.low, env.action_space.high
 episodes = [
-    Trajectory(episode.observations, np.clip(episode.actions, low, high), infos=None, terminal=True)
+    Trajectory(
+        episode.observations,
+        np.clip(episode.actions, low, high),
+        infos=None,
+        terminal=True,
+    )
     for episode in minari.MinariDataset(folder / "data")
 ]
-network = ActorCriticPolicy(env.observation_space, env.action_space, lambda _: 1e-3, net_arch=[256, 256])
+network = ActorCriticPolicy(
+    env.observation_space, env.action_space, lambda _: 1e-3, net_arch=[256, 256]
+)
 learner = BC(
     policy=network,
     observation_space=env.observation_space,

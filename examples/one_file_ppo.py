@@ -24,7 +24,6 @@ from typing import NamedTuple
 import gymnasium
 import numpy as np
 import torch
-from held_out import arguments, report
 from rich.progress import track
 from torch import nn
 from torch.distributions import Independent, Normal
@@ -33,9 +32,14 @@ from armctl.agents import AgentCard, inputs, sha256, shapes
 from armctl.rl.networks.onnx_graph import write_graph
 from armctl.runtime.provenance import versions
 from armctl.shaping import Shaped
+from held_out import arguments, report
 
 ENV = "armctl/ArmReach-v0"
-ENV_OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features"}
+ENV_OPTIONS = {
+    "actions": "normalized",
+    "control": "relative",
+    "observation": "features",
+}
 SHAPING, SHAPING_SCALE = "ik", 150.0
 """Name of the potential, minus the minimum time to the target in s, and the reward per second."""
 FOLDER = Path("runs/one_file_ppo")
@@ -87,18 +91,28 @@ def linear(inputs: int, outputs: int, gain: float = 2**0.5) -> nn.Linear:
 def mlp(inputs: int, hidden: int, outputs: int, gain: float) -> nn.Sequential:
     """Return a network with two hidden layers."""
     return nn.Sequential(
-        linear(inputs, hidden), nn.Tanh(), linear(hidden, hidden), nn.Tanh(), linear(hidden, outputs, gain)
+        linear(inputs, hidden),
+        nn.Tanh(),
+        linear(hidden, hidden),
+        nn.Tanh(),
+        linear(hidden, outputs, gain),
     )
 
 
 class ActorCritic(nn.Module):
     """A Gaussian policy, whose standard deviation does not depend on the observation, and a value function."""
 
-    def __init__(self, observation_size: int, action_size: int, options: Options) -> None:
+    def __init__(
+        self, observation_size: int, action_size: int, options: Options
+    ) -> None:
         super().__init__()
-        self.actor = mlp(observation_size, options.hidden_units, action_size, gain=0.01)
+        self.actor = mlp(
+            observation_size, options.hidden_units, action_size, gain=0.01
+        )
         self.critic = mlp(observation_size, options.hidden_units, 1, gain=1.0)
-        self.log_std = nn.Parameter(torch.full((action_size,), options.initial_log_std))
+        self.log_std = nn.Parameter(
+            torch.full((action_size,), options.initial_log_std)
+        )
 
     def forward(self, *observation: torch.Tensor) -> torch.Tensor:
         """Return the mean actions (n, action_size) for the arrays (n, ...) of an observation, of which there is one."""
@@ -106,7 +120,9 @@ class ActorCritic(nn.Module):
 
     def policy(self, observations: torch.Tensor) -> Independent:
         """Return the distribution of actions (..., action_size)."""
-        return Independent(Normal(self.actor(observations), self.log_std.exp()), 1)
+        return Independent(
+            Normal(self.actor(observations), self.log_std.exp()), 1
+        )
 
     def value(self, observations: torch.Tensor) -> torch.Tensor:
         """Return the expected discounted sums (...) of later rewards."""
@@ -128,18 +144,39 @@ class Collector:
         """Make `length` control steps in every world."""
         steps = []
         for _ in range(length):
-            policy, observations, acted = agent.policy(self.observations), self.observations, 1 - self.ended
+            policy, observations, acted = (
+                agent.policy(self.observations),
+                self.observations,
+                1 - self.ended,
+            )
             actions = policy.sample()
-            observed, rewards, terminated, truncated, infos = self.envs.step(actions.numpy())
+            observed, rewards, terminated, truncated, infos = self.envs.step(
+                actions.numpy()
+            )
             self.observations = torch.as_tensor(observed)
             self.ended = torch.as_tensor(terminated | truncated).float()
             self.successes.extend(infos["is_success"][terminated | truncated])
-            outcome = torch.as_tensor(rewards).float(), torch.as_tensor(terminated).float(), self.ended
-            steps.append((observations, actions, policy.log_prob(actions), agent.value(observations), *outcome, acted))
+            outcome = (
+                torch.as_tensor(rewards).float(),
+                torch.as_tensor(terminated).float(),
+                self.ended,
+            )
+            steps.append(
+                (
+                    observations,
+                    actions,
+                    policy.log_prob(actions),
+                    agent.value(observations),
+                    *outcome,
+                    acted,
+                )
+            )
         return Rollout(*map(torch.stack, zip(*steps, strict=True)))
 
 
-def advantages_of(rollout: Rollout, last_values: torch.Tensor, options: Options) -> torch.Tensor:
+def advantages_of(
+    rollout: Rollout, last_values: torch.Tensor, options: Options
+) -> torch.Tensor:
     """Return generalized advantage estimates (rollout_length, num_envs).
 
         delta_t = r_t + gamma V(s_t+1) (1 - terminated_t) - V(s_t)
@@ -148,35 +185,71 @@ def advantages_of(rollout: Rollout, last_values: torch.Tensor, options: Options)
     After a truncated episode, V(s_t+1) is the value of its last observation, which the step that only resets observes.
     """
     next_values = torch.cat([rollout.values[1:], last_values[None]])
-    deltas = rollout.rewards + options.gamma * next_values * (1 - rollout.terminated) - rollout.values
-    advantages, advantage = torch.zeros_like(deltas), torch.zeros_like(last_values)
+    deltas = (
+        rollout.rewards
+        + options.gamma * next_values * (1 - rollout.terminated)
+        - rollout.values
+    )
+    advantages, advantage = (
+        torch.zeros_like(deltas),
+        torch.zeros_like(last_values),
+    )
     for t in reversed(range(len(deltas))):
-        advantage = deltas[t] + options.gamma * options.gae_lambda * (1 - rollout.ended[t]) * advantage
+        advantage = (
+            deltas[t]
+            + options.gamma
+            * options.gae_lambda
+            * (1 - rollout.ended[t])
+            * advantage
+        )
         advantages[t] = advantage
     return advantages
 
 
 def update(
-    agent: ActorCritic, optimizer: torch.optim.Optimizer, rollout: Rollout, advantages: torch.Tensor, options: Options
+    agent: ActorCritic,
+    optimizer: torch.optim.Optimizer,
+    rollout: Rollout,
+    advantages: torch.Tensor,
+    options: Options,
 ) -> int:
-    """Improve policy and value function by clipped gradient steps on a rollout; return the number of these steps."""
+    """Improve policy and value by clipped gradient steps; return how many."""
     acted = rollout.acted > 0
     returns = (advantages + rollout.values)[acted]
     observations, actions, log_probs, advantages = (
-        part[acted] for part in (rollout.observations, rollout.actions, rollout.log_probs, advantages)
+        part[acted]
+        for part in (
+            rollout.observations,
+            rollout.actions,
+            rollout.log_probs,
+            advantages,
+        )
     )
     gradient_steps = 0
     for _ in range(options.epochs):
         for batch in torch.randperm(len(returns)).split(options.batch_size):
             advantage = advantages[batch]
-            advantage = (advantage - advantage.mean()) / (advantage.std(correction=0) + 1e-8)
-            ratio = (agent.policy(observations[batch]).log_prob(actions[batch]) - log_probs[batch]).exp()
-            clipped = ratio.clamp(1 - options.clip_range, 1 + options.clip_range)
-            policy_loss = -torch.min(ratio * advantage, clipped * advantage).mean()
-            value_loss = (agent.value(observations[batch]) - returns[batch]).square().mean() / 2
+            advantage = (advantage - advantage.mean()) / (
+                advantage.std(correction=0) + 1e-8
+            )
+            ratio = (
+                agent.policy(observations[batch]).log_prob(actions[batch])
+                - log_probs[batch]
+            ).exp()
+            clipped = ratio.clamp(
+                1 - options.clip_range, 1 + options.clip_range
+            )
+            policy_loss = -torch.min(
+                ratio * advantage, clipped * advantage
+            ).mean()
+            value_loss = (
+                agent.value(observations[batch]) - returns[batch]
+            ).square().mean() / 2
             optimizer.zero_grad()
             (policy_loss + value_loss).backward()
-            nn.utils.clip_grad_norm_(agent.parameters(), options.max_gradient_norm)
+            nn.utils.clip_grad_norm_(
+                agent.parameters(), options.max_gradient_norm
+            )
             optimizer.step()
             gradient_steps += 1
     return gradient_steps
@@ -187,7 +260,10 @@ def train(
 ) -> tuple[ActorCritic, dict[str, int]]:
     """Train for at least `steps` control steps, and return the networks, and what the training took."""
     torch.manual_seed(seed)
-    sizes = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+    sizes = (
+        envs.single_observation_space.shape[0],
+        envs.single_action_space.shape[0],
+    )
     agent = ActorCritic(*sizes, options)
     optimizer = torch.optim.Adam(agent.parameters(), lr=options.learning_rate)
     collector, gradient_steps = Collector(envs, seed), 0
@@ -197,17 +273,32 @@ def train(
         rollout = collector.collect(agent, options.rollout_length)
         with torch.no_grad():
             last_values = agent.value(collector.observations)
-        gradient_steps += update(agent, optimizer, rollout, advantages_of(rollout, last_values, options), options)
+        gradient_steps += update(
+            agent,
+            optimizer,
+            rollout,
+            advantages_of(rollout, last_values, options),
+            options,
+        )
         if number % 10 == 0 or number == updates:
-            success = np.mean(collector.successes) if collector.successes else 0.0
-            print(f"{number * steps_per_update:9,} steps: success {success:.0%} with exploration noise")
-    return agent, {"training_steps": updates * steps_per_update, "gradient_steps": gradient_steps}
+            success = (
+                np.mean(collector.successes) if collector.successes else 0.0
+            )
+            print(
+                f"{number * steps_per_update:9,} steps: success {success:.0%} with exploration noise"
+            )
+    return agent, {
+        "training_steps": updates * steps_per_update,
+        "gradient_steps": gradient_steps,
+    }
 
 
-def export(agent: ActorCritic, envs: gymnasium.vector.VectorEnv, **training: object) -> Path:
-    """Write `agent.onnx`, the graph of the mean action, and `agent.json`, the card by which armctl plays it.
+def export(
+    agent: ActorCritic, envs: gymnasium.vector.VectorEnv, **training: object
+) -> Path:
+    """Write the graph of the mean action, and its card, which armctl plays.
 
-    Return the path of the card. `training` holds the card's fields about the training.
+    Return the card's path. `training` has its fields about the training.
     """
     FOLDER.mkdir(parents=True, exist_ok=True)
     graph, card_file = FOLDER / "agent.onnx", FOLDER / "agent.json"
@@ -224,7 +315,8 @@ def export(agent: ActorCritic, envs: gymnasium.vector.VectorEnv, **training: obj
         interface=envs.unwrapped.task.interface,
         observation_shape=shapes(space),
         action_shape=list(envs.single_action_space.shape),
-        versions=versions() | {package: version(package) for package in ("torch", "onnx")},
+        versions=versions()
+        | {package: version(package) for package in ("torch", "onnx")},
         sha256=sha256(graph),
         **training,
     )
@@ -234,9 +326,17 @@ def export(agent: ActorCritic, envs: gymnasium.vector.VectorEnv, **training: obj
 
 def main() -> None:
     """Train, export, and count successes on held-out episodes."""
-    given, options, start = arguments(__doc__, steps=150_000), Options(), time.monotonic()
+    given, options, start = (
+        arguments(__doc__, steps=150_000),
+        Options(),
+        time.monotonic(),
+    )
     envs = gymnasium.make_vec(
-        f"armctl:{ENV}", options.num_envs, autoreset_mode="next_step", reward_scale=options.reward_scale, **ENV_OPTIONS
+        f"armctl:{ENV}",
+        options.num_envs,
+        autoreset_mode="next_step",
+        reward_scale=options.reward_scale,
+        **ENV_OPTIONS,
     )
     envs = Shaped(envs, SHAPING, gamma=options.gamma, scale=SHAPING_SCALE)
     agent, costs = train(envs, given.steps, seed=given.seed, options=options)

@@ -10,19 +10,23 @@ EXPECTED: 4.5% of 200 episodes after 150,000 steps, in 10 minutes of one core
 """
 
 import gymnasium
-from held_out import arguments, report
 from sb3_contrib import RecurrentPPO
 
 from armctl.integrations.sb3 import VecEnv
 from armctl.shaping import Shaped
+from held_out import arguments, report
 
 ID = "armctl:armctl/ArmReach-v0"
 OPTIONS = {"actions": "normalized", "control": "relative"}
 GAMMA = 0.99
 
 given = arguments(__doc__, steps=150_000)
-worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
-shaped = Shaped(worlds, "ik", gamma=GAMMA, scale=150)  # per second nearer to the target
+worlds = gymnasium.make_vec(
+    ID, num_envs=16, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS
+)
+shaped = Shaped(
+    worlds, "ik", gamma=GAMMA, scale=150
+)  # per second nearer to the target
 model = RecurrentPPO(
     "MlpLstmPolicy",
     VecEnv(shaped),

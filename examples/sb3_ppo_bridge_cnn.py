@@ -13,20 +13,31 @@ EXPECTED: 89.0%, 89.0%, 87.0% of 200 episodes after 300,000 steps, in 13 minutes
 """
 
 import gymnasium
-from held_out import arguments, report
 from stable_baselines3 import PPO
 
 from armctl.integrations.sb3 import VecEnv
 from armctl.shaping import Shaped
+from held_out import arguments, report
 
 ID = "armctl:armctl/BridgeCross-v0"
-OPTIONS = {"actions": "normalized", "observation": "features", "image_format": "uint8"}
+OPTIONS = {
+    "actions": "normalized",
+    "observation": "features",
+    "image_format": "uint8",
+}
 GAMMA = 0.99
 
 given = arguments(__doc__, steps=300_000)
-rewards = {"reward_scale": 0.02, "reward_weights": {"collision": 0.2, "fall": 0.2}}
-worlds = gymnasium.make_vec(ID, num_envs=32, autoreset_mode="same_step", **rewards, **OPTIONS)
-shaped = Shaped(worlds, "ompl", gamma=GAMMA, scale=5)  # per metre nearer to the goal line
+rewards = {
+    "reward_scale": 0.02,
+    "reward_weights": {"collision": 0.2, "fall": 0.2},
+}
+worlds = gymnasium.make_vec(
+    ID, num_envs=32, autoreset_mode="same_step", **rewards, **OPTIONS
+)
+shaped = Shaped(
+    worlds, "ompl", gamma=GAMMA, scale=5
+)  # per metre nearer to the goal line
 model = PPO(
     "MultiInputPolicy",
     VecEnv(shaped),

@@ -16,19 +16,26 @@ EXPECTED: 99.0%, 99.0%, 98.5% of 200 episodes after 100,000 steps, in 6 minutes 
 
 import gymnasium
 import numpy as np
-from held_out import arguments, report
 from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 
 from armctl.integrations.sb3 import GoalFeatures, VecEnv
+from held_out import arguments, report
 
 ID = "armctl:armctl/ArmReach-v0"
-OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features", "goal": True}
+OPTIONS = {
+    "actions": "normalized",
+    "control": "relative",
+    "observation": "features",
+    "goal": True,
+}
 JOINTS = 6
 
 given = arguments(__doc__, steps=100_000)
-worlds = gymnasium.make_vec(ID, num_envs=16, autoreset_mode="same_step", goal_reward=1, **OPTIONS)
+worlds = gymnasium.make_vec(
+    ID, num_envs=16, autoreset_mode="same_step", goal_reward=1, **OPTIONS
+)
 model = SAC(
     "MultiInputPolicy",
     VecEnv(worlds),
@@ -39,8 +46,13 @@ model = SAC(
     gamma=0.95,
     tau=0.01,
     ent_coef="auto_0.1",
-    action_noise=OrnsteinUhlenbeckActionNoise(np.zeros(JOINTS), np.full(JOINTS, 0.2), theta=0.1, dt=1.0),
-    policy_kwargs={"features_extractor_class": GoalFeatures, "net_arch": [128, 128]},
+    action_noise=OrnsteinUhlenbeckActionNoise(
+        np.zeros(JOINTS), np.full(JOINTS, 0.2), theta=0.1, dt=1.0
+    ),
+    policy_kwargs={
+        "features_extractor_class": GoalFeatures,
+        "net_arch": [128, 128],
+    },
     seed=given.seed,
     device="cpu",
 )

@@ -13,7 +13,6 @@ EXPECTED: 100.0% of 200 episodes after 150,000 steps, in 2 minutes of one core
 
 import gymnasium
 import torch
-from held_out import arguments, report
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.memories.torch import RandomMemory
@@ -23,9 +22,14 @@ from skrl.utils import set_seed
 from torch import nn
 
 from armctl.shaping import Shaped
+from held_out import arguments, report
 
 ID = "armctl:armctl/ArmReach-v0"
-OPTIONS = {"actions": "normalized", "control": "relative", "observation": "features"}
+OPTIONS = {
+    "actions": "normalized",
+    "control": "relative",
+    "observation": "features",
+}
 WORLDS, ROLLOUT, GAMMA = 16, 128, 0.99
 
 
@@ -39,14 +43,25 @@ def layer(inputs, outputs, gain=2**0.5):
 
 def network(inputs, outputs, gain):
     """Two hidden layers."""
-    return nn.Sequential(layer(inputs, 128), nn.Tanh(), layer(128, 128), nn.Tanh(), layer(128, outputs, gain))
+    return nn.Sequential(
+        layer(inputs, 128),
+        nn.Tanh(),
+        layer(128, 128),
+        nn.Tanh(),
+        layer(128, outputs, gain),
+    )
 
 
 class Actor(GaussianMixin, Model):
     """Mean and logarithm of the standard deviation of the actions."""
 
     def __init__(self, env):
-        Model.__init__(self, observation_space=env.observation_space, action_space=env.action_space, device=env.device)
+        Model.__init__(
+            self,
+            observation_space=env.observation_space,
+            action_space=env.action_space,
+            device=env.device,
+        )
         GaussianMixin.__init__(self)
         self.net = network(self.num_observations, self.num_actions, gain=0.01)
         self.log_std = nn.Parameter(torch.full((self.num_actions,), -0.5))
@@ -59,7 +74,12 @@ class Critic(DeterministicMixin, Model):
     """The value of an observation."""
 
     def __init__(self, env):
-        Model.__init__(self, observation_space=env.observation_space, action_space=env.action_space, device=env.device)
+        Model.__init__(
+            self,
+            observation_space=env.observation_space,
+            action_space=env.action_space,
+            device=env.device,
+        )
         DeterministicMixin.__init__(self)
         self.net = network(self.num_observations, 1, gain=1)
 
@@ -71,32 +91,59 @@ class Agent(PPO):
     """Goes by the last observation of an episode where that was truncated."""
 
     def record_transition(self, *, next_observations, infos, **transition):  # noqa: D102
-        last = torch.as_tensor(infos["final_obs"]) if "final_obs" in infos else next_observations
-        super().record_transition(next_observations=last, infos=infos, **transition)
+        last = (
+            torch.as_tensor(infos["final_obs"])
+            if "final_obs" in infos
+            else next_observations
+        )
+        super().record_transition(
+            next_observations=last, infos=infos, **transition
+        )
 
 
 given = arguments(__doc__, steps=150_000)
 set_seed(given.seed)
-worlds = gymnasium.make_vec(ID, num_envs=WORLDS, autoreset_mode="same_step", reward_scale=0.02, **OPTIONS)
-env = wrap_env(Shaped(worlds, "ik", gamma=GAMMA, scale=150))  # per second nearer to the target
+worlds = gymnasium.make_vec(
+    ID,
+    num_envs=WORLDS,
+    autoreset_mode="same_step",
+    reward_scale=0.02,
+    **OPTIONS,
+)
+env = wrap_env(
+    Shaped(worlds, "ik", gamma=GAMMA, scale=150)
+)  # per second nearer to the target
 settings = PPO_CFG(
     rollouts=ROLLOUT, learning_epochs=8, mini_batches=8, discount_factor=GAMMA, learning_rate=5e-4,
     value_clip=0, value_loss_scale=0.5, time_limit_bootstrap=True,
 )  # fmt: skip
 settings.experiment.write_interval = settings.experiment.checkpoint_interval = 0
-actor, spaces = Actor(env), {"observation_space": env.observation_space, "action_space": env.action_space}
+actor, spaces = (
+    Actor(env),
+    {
+        "observation_space": env.observation_space,
+        "action_space": env.action_space,
+    },
+)
 agent = Agent(
     models={"policy": actor, "value": Critic(env)}, memory=RandomMemory(memory_size=ROLLOUT, num_envs=WORLDS),
     device=env.device, cfg=settings, **spaces,
 )  # fmt: skip
 timesteps = max(1, given.steps // WORLDS)
-SequentialTrainer(env=env, agents=agent, cfg={"timesteps": timesteps, "headless": True}).train()
+SequentialTrainer(
+    env=env, agents=agent, cfg={"timesteps": timesteps, "headless": True}
+).train()
 
 
 def policy(observation):
     """The mean action."""
     with torch.no_grad():
-        return actor.net(torch.as_tensor(observation, device=env.device)).clamp(-1, 1).cpu().numpy()
+        return (
+            actor.net(torch.as_tensor(observation, device=env.device))
+            .clamp(-1, 1)
+            .cpu()
+            .numpy()
+        )
 
 
 report(policy, ID, given.episodes, **OPTIONS)

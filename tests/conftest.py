@@ -1,5 +1,6 @@
 """`pytest` runs the quick tests, `pytest --all` also the slow ones, and quick ones with their full samples."""
 
+import compileall
 import os
 import shutil
 import signal
@@ -39,8 +40,14 @@ def pytest_addoption(parser):
     parser.addoption("--thorough", action="store_true", help="run tests of thousands of trials too")
 
 
-def pytest_sessionstart():
-    """Stop if the installed armctl lacks entry points of pyproject.toml: plug-ins would not be found."""
+def pytest_sessionstart(session):
+    """Stop if the installed armctl lacks entry points of pyproject.toml: plug-ins would not be found.
+
+    Its code is compiled once, and not by each interpreter that a test starts, if none may keep what it compiles.
+    """
+    if not hasattr(session.config, "workerinput"):
+        for folder in ("src", "baselines", "rl"):
+            compileall.compile_dir(Path(__file__).parents[1] / folder, quiet=2)
     project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
     declared = {
         (group, name): value for group, points in project["entry-points"].items() for name, value in points.items()

@@ -6,6 +6,7 @@ list of its folder, in which its examples work, and of their list: `["file", NAM
 went well. See `test_docs.py`.
 """
 
+import importlib
 import json
 import os
 import subprocess
@@ -14,9 +15,7 @@ import types
 import warnings
 from pathlib import Path
 
-import armctl.agents
-import armctl.report
-import armctl.study  # noqa: F401 - what most of the commands need
+import armctl
 from armctl.cli import main
 
 
@@ -59,6 +58,14 @@ def apart(run, *given):
     return os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1])
 
 
+def warm_up():
+    """Import what most examples need, and load compiled kernels; but nothing that starts threads: forks lose them."""
+    for name in ("armctl.study.verbs", "armctl.tasks.reach.reach", "onnx", "plotly.graph_objects", "scipy.stats"):
+        importlib.import_module(name)
+    armctl.Ik(armctl.ArmModel(armctl.load_arm("ur5")))
+
+
 if __name__ == "__main__":
+    warm_up()
     for line in sys.stdin:
         print(apart(page, *json.loads(line)), flush=True)

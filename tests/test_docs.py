@@ -74,9 +74,9 @@ def commands(text):
 
 
 @each_page
-def test_commands_fit_into_80_columns(page):
-    long = [line for block in blocks(page) if block.kind == "sh" for line in block.text.splitlines() if len(line) > 80]
-    assert not long
+def test_commands_and_code_fit_into_80_columns(page):
+    texts = [block.text for block in blocks(page) if block.kind in ("sh", "python")]
+    assert not [line for text in texts for line in text.splitlines() if len(line) > 80]
 
 
 @each_page
@@ -311,6 +311,18 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert '<span class="filename">docs/examples/hover.py</span>' in task
     assert "https://github.com/armctl/armctl/blob/main/docs/examples/hover.py" in task
     assert 'href="../zoo/"' in resolved
+    for path in tmp_path.glob("reference/*/index.html"):
+        assert all(kinds == sorted(kinds, reverse=True) for kinds in kinds_of_members(pages[path]).values()), path
+
+
+def kinds_of_members(html):
+    """Return what a page of the API has, function, class or attribute, in their order, by module or class."""
+    kinds: dict[str, list[str]] = {}
+    for name, kind in re.findall(r'id="([\w.]+)" class="doc doc-heading">\s*<code class="[^"]*-(\w+)">', html):
+        if kind != "method":
+            kinds.setdefault(name.rpartition(".")[0], []).append(kind)
+    assert kinds
+    return kinds
 
 
 def test_notes_of_fences_become_titles():

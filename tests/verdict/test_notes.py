@@ -7,7 +7,7 @@ import pytest
 import armctl
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
-from armctl.verdict.notes import STUCK_PATH, certificate_notes, motion_notes, unclean_notes
+from armctl.verdict.notes import STUCK_PATH, certificate_notes, first_step_notes, motion_notes, unclean_notes
 from armctl.verdict.scores import WITHIN_RANGE, WITHIN_SPEED, clean
 
 from ..made_up_episodes import played
@@ -25,6 +25,33 @@ def test_a_comparison_without_a_feasible_episode_says_so():
     comparison = armctl.compare(["reach_ik", "random"], episodes=4, env_options=options)
     assert not comparison.policies
     assert any(note.startswith("All 4 episodes are labelled infeasible") for note in comparison.notes)
+
+
+def test_starts_that_are_successes_are_told():
+    """The target of an episode is within a tolerance of 0.9 m from the start, or it is not."""
+    comparison = armctl.compare(["reach_ik", "random"], episodes=6, env_options={"tolerance": 0.9})
+    (note,) = (note for note in comparison.notes if "first control step" in note)
+    count = sum((results.length == 1).all() for _, results in comparison.episodes.groupby("episode"))
+    assert 0 < count < 6
+    assert note.startswith(f"{count} of 6 episodes ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reported"),
+    [
+        ({}, True),
+        ({"length": 2}, False),
+        ({"success": False}, False),
+        ({"success": None}, False),
+    ],
+)
+def test_a_first_step_that_not_every_policy_wins_is_not_told(changes, reported):
+    """The last of three policies differs."""
+    won = [replace(one, success=True, length=1) for one in played(4, ("a", "b", "c"))]
+    tables = EpisodeTable(replace(one, **changes) if one.policy == "c" else one for one in won).by_policy()
+    notes = first_step_notes(tables)
+    assert [note.startswith("4 of 4 episodes are won by every policy") for note in notes] == [True] * reported
+    assert first_step_notes({}) == []
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,6 @@ def _versions() -> dict[str, str]:
         "eaik",
         "ompl",
         "osqp",
-        "ruckig",
         "gymnasium",
         "numpy",
         "scipy",

@@ -14,7 +14,7 @@ from armctl.runtime.provenance import Run, argument_notes, earlier_looks, overwr
 from armctl.stats.difference import Difference
 from armctl.verdict.facts import Facts
 from armctl.verdict.notebook import Displayed
-from armctl.verdict.notes import certificate_notes, motion_notes, unclean_notes
+from armctl.verdict.notes import certificate_notes, first_step_notes, motion_notes, unclean_notes
 from armctl.verdict.scores import by_learner
 from armctl.verdict.sentences import Verdict, verdict
 from armctl.verdict.summary import PolicySummary, counted_results, summarise
@@ -184,6 +184,7 @@ def concluded(
         *([] if facts.return_bounds or "return" in facts.unknown else [UNBOUNDED]),
         *([FIXED] if any(pair.any_number for pair in comparison.differences) else []),
         *certificate_notes(results),
+        *first_step_notes(counted),
         *motion_notes(results, facts.control_period),
         *timing_notes(((name, table) for name, table in counted.items() if table), Machines.of(runs, results)),
         *([NO_SUCCESS_SIGNAL.format(env=bare_id(comparison.env))] if by_return else []),

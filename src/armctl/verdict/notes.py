@@ -27,6 +27,19 @@ def certificate_notes(results: EpisodeTable) -> list[str]:
     return [*notes, f"{episodes} episodes labelled infeasible were won ({by}): the certificate is too strict."]
 
 
+def first_step_notes(counted: Mapping[str, EpisodeTable]) -> list[str]:
+    """Return a remark if every policy wins some episodes in its first control step: they may begin with a success."""
+    won = [table[table.won & (table.column("length") <= 1)].column("episode") for table in counted.values() if table]
+    shared = set.intersection(*map(set, won)) if won else set()
+    if not shared:
+        return []
+    count, total = len(shared), max(map(len, counted.values()))
+    return [
+        f"{count} of {total} episodes {'is' if count == 1 else 'are'} won by every policy in the first control step, "
+        "as if it began with a success: that tells no policy from another."
+    ]
+
+
 def motion_notes(results: EpisodeTable, control_period: float | None) -> list[str]:
     """Return remarks about policies that hardly moved the robot in episodes that they did not win."""
     if control_period is None:
