@@ -131,7 +131,7 @@ class LogRequest:
     """Options of `log`."""
 
     file: Annotated[Path, typer.Argument(help="CSV file of the log; one that is there is continued.", metavar="FILE")]
-    policies: Annotated[
+    names: Annotated[
         list[str] | None, typer.Argument(help="Names of the policies, for a new log.", metavar="[POLICY]...")
     ] = None
     episodes: Annotated[
@@ -157,7 +157,7 @@ def log(request: LogRequest) -> None:
     from armctl.core.errors import ConfigurationError
     from armctl.judging.log import TrialLog
 
-    names = request.policies or []
+    names = request.names or []
     if request.file.exists():
         trial_log = TrialLog.read(request.file)
         trial_log.check_plan(names, request.episodes, request.seed)
