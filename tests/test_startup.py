@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from armctl.study import compare
+
 HEAVY = {
     "casadi", "coal", "eaik", "h5py", "joblib", "jinja2", "matplotlib", "mujoco", "numba", "ompl", "onnx",
     "onnxruntime", "osqp", "pandas", "pinocchio", "plotly", "scipy.ndimage", "scipy.sparse", "scipy.spatial",
@@ -111,3 +113,10 @@ def test_ten_thousand_episodes_are_judged_in_about_a_second_of_processor(tmp_pat
     ended = os.times()
     assert (status, packages - {"scipy.sparse"}) == (0, set())
     assert ended.children_user + ended.children_system - began.children_user - began.children_system < 2.5
+
+
+@pytest.mark.slow
+def test_a_report_loads_neither_simulator_nor_statistics(tmp_path):
+    compare(["reach_ik", "random"], episodes=2, out=tmp_path / "results")
+    status, packages = loaded(["report", "results", "--no-video"], tmp_path)
+    assert (status, packages - {"scipy.sparse"}) == (0, {"jinja2", "pandas", "plotly"})
