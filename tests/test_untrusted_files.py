@@ -229,7 +229,8 @@ def test_workers_import_nothing_from_where_they_run(tmp_path):
 
 
 def test_tables_are_written_and_never_read():
-    """139 kB of Parquet took 43 s to read: what lies beside a store is output."""
+    """139 kB of Parquet took 43 s to read: what lies beside a store is output. `judge` reads what its user names."""
     readers = re.compile(r"read_(parquet|table|feather|orc|hdf|pickle)|Parquet(File|Dataset)|scan_parquet|iter_batches")
     package = Path(armctl_package.__file__).parent
-    assert not [path.name for path in package.rglob("*.py") if readers.search(path.read_text())]
+    judged = package / "judging" / "formats" / "parquet.py"
+    assert [path for path in package.rglob("*.py") if readers.search(path.read_text())] == [judged]

@@ -1,6 +1,8 @@
 """Valid command lines of which one part is changed: each works, or is refused in words; never a traceback."""
 
+import io
 import random
+import sys
 from typing import Any
 
 import pytest
@@ -82,13 +84,26 @@ LINES: dict[str, Any] = {
     "push": (
         [("agent.json",), ("owner/name",)], [[("--private",)], [("--message", "a new one")], [("--licence", "mit")]],
     ),
+    "judge": (
+        [("trials.csv",), ("--policy-column", "who"), ("--success-column", "did")],
+        [OUT, FORMATS, [("--baseline", "old"), ("--baseline", "new", "--fail-if", "worse")], [("--margin", "10")],
+         [("--learned", "new")], [("--unpaired",)], [("--success-return", "3")], [("--time-limit", "30")],
+         [("--badge",)], [("--return-bounds", "0", "30")], [("--max-steps", "30")], [("--return-column", "got")],
+         [("--time-column", "s")], [("--steps-column", "k")], [("--episode-column", "n")],
+         [("--seed-column", "layout")], [("--task-column", "env")], [("--condition-column", "light")],
+         [("--training-seed-column", "training_seed")]],
+    ),
+    "log": (
+        [("new.csv", "old", "new")],
+        [SEEDS, [("--episodes", "2")], [("--blind",), ("--blind", "--key", "key.json")], [("--blind",)]],
+    ),
     "pull": ([("owner/name",)], [[("--out", "new")], [("--overwrite",)]]),
 }  # fmt: skip
 """Words of each verb's shortest line, in parts; and choices of parts that may come besides."""
 SLOW = {"suite", "train", "tune", "view"}
 """Verbs that train or serve: `../fuzz/test_command_lines.py` has lines of them that end before that."""
-ELSEWHERE = {"--video", "--watch", "--rerun"}
-"""Options that render, or open a window."""
+ELSEWHERE = {"--video", "--watch", "--rerun", "--unblind"}
+"""Options that render, or open a window; and one that needs a log."""
 
 
 def drawn(verb, rng):
@@ -142,6 +157,7 @@ def run(home, monkeypatch):  # noqa: F811 - the fixture
         if words[0] == "run" and any(word.isdecimal() and len(word) > 20 for word in words):
             return 0  # it shows so many episodes, until it is interrupted
         copied(home, copy)
+        monkeypatch.setattr(sys, "stdin", io.StringIO("y\nn 3 slow\nu\nq\n"))
         done = armctl(*words, cwd=copy, check=False)
         said = f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
         assert done.returncode in (0, 1, 2, 130), said

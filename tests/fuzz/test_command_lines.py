@@ -101,6 +101,8 @@ def home(tmp_path_factory):
         "quits.py": "import sys; sys.exit(17)", "interrupts.py": "raise KeyboardInterrupt",
         "fails.py": "raise RuntimeError('[/] \\x1b[2J')", "file": "in the way",
         "recipe.toml": 'learner = "ppo"\nenv = "armctl/ArmReach-v0"\n', "bad.toml": "[[", "model.zip": "PK",
+        "trials.csv": "who,env,n,did,got,s,k,light,training_seed,layout\n"
+        + "".join(f"{name},a,{i},{i % 2},{i},{i},{i},dim,0,{i}\n" for name in ("old", "new") for i in range(12)),
     }  # fmt: skip
     for name, text in texts.items():
         (home / name).write_text(text)

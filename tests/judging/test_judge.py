@@ -274,3 +274,13 @@ def test_returns_without_bounds_are_judged_by_the_higher_one(tmp_path):
     judgement = judge(files)
     assert judgement.conclusions[0].policy == "b"
     assert "possible returns are unknown" in text_of(judgement)
+
+
+def test_names_write_nothing_to_the_terminal_but_themselves(tmp_path):
+    lines = [line.replace("new", "n\x1b[2Jw*_<b>") for line in rows_of(WINS)]
+    table(tmp_path, lines)
+    for arguments in ((), ("--badge",), ("--format", "markdown"), ("--format", "csv")):
+        printed = armctl("judge", "trials.csv", *arguments, cwd=tmp_path).stdout
+        assert "\x1b" not in printed
+        assert "\\x1b[2Jw" in printed.replace("\\[", "[").replace("\\\\", "\\")
+    assert "w\\*\\_\\<b\\>" in armctl("judge", "trials.csv", "--badge", cwd=tmp_path).stdout

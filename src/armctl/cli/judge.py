@@ -113,7 +113,9 @@ def judge(request: JudgeRequest) -> None:
         request.files, columns, learned=tuple(request.learned or ()), margin=request.margin / 100, **terms
     )
     if request.badge:
-        print(judgement.badge)
+        from armctl.report.judgement import badge
+
+        print(badge(judgement))
     else:
         console = print_document(judgement.document(), request.table_format)
     if request.out is not None:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as
+from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as, reason
 from armctl.core.files import bounded_text, write_atomically
 from armctl.judging.values import is_empty, numbers, truth
 
@@ -79,7 +79,7 @@ class TrialLog:
             if torn:  # by a crash in the midst of a trial, which is asked again
                 log._rewrite()
         except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-            raise ConfigurationError(f"{path} is no log of armctl's, or was changed: {error}") from error
+            raise ConfigurationError(f"{path} is no log of armctl's, or was changed: {reason(error)}") from error
         return log
 
     @property

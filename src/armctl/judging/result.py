@@ -13,8 +13,6 @@ from armctl.verdict.sentences import Pair, verdict_pairs
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Document, Remark, Table, p_value, percent, plain, points
 
 Outcome = Literal["better", "worse", "equivalent", "undecided"]
-OUTCOMES: tuple[Outcome, ...] = ("better", "worse", "equivalent", "undecided")
-MARKS: Mapping[Outcome, str] = {"better": "🟢", "worse": "🔴", "equivalent": "🟡", "undecided": "⚪"}
 
 
 @dataclass(frozen=True)
@@ -74,12 +72,6 @@ class Judgement(Displayed):
             return True
         each = [conclusion.outcome for cell in self.by_cell.values() for conclusion in cell]
         return "worse" in outcomes and "worse" in each
-
-    @property
-    def badge(self) -> str:
-        """One line of Markdown for each pair of the verdict."""
-        lines = [f"{MARKS[conclusion.outcome]} **{conclusion}**" for conclusion in self.conclusions]
-        return "\n".join(lines) or "⚪ **no verdict**"
 
     def document(self) -> Document:
         """Return the verdict and the tables of all together, and a table of the tasks and conditions."""

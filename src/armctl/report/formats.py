@@ -27,13 +27,13 @@ def markdown(document: Document) -> str:
     parts = []
     for part in document.parts:
         if isinstance(part, Table):
-            headings = [_markdown(column.heading) for column in part.columns]
+            headings = [markdown_text(column.heading) for column in part.columns]
             rules = [":--", *["--:"] * (len(headings) - 1)]
-            rows = [[_markdown(_in_one_line(cell)) for cell in row] for row in part.rows]
+            rows = [[markdown_text(_in_one_line(cell)) for cell in row] for row in part.rows]
             lines = "\n".join(f"| {' | '.join(line)} |" for line in (headings, rules, *rows))
-            parts.append(f"**{_markdown(part.title)}**\n\n{lines}\n\n{_markdown(part.caption)}".rstrip())
+            parts.append(f"**{markdown_text(part.title)}**\n\n{lines}\n\n{markdown_text(part.caption)}".rstrip())
         else:
-            parts.append(f"**{_markdown(part.text)}**" if part.kind == "verdict" else _markdown(part.text))
+            parts.append(f"**{markdown_text(part.text)}**" if part.kind == "verdict" else markdown_text(part.text))
     return "\n\n".join(parts) + "\n"
 
 
@@ -103,7 +103,8 @@ def _in_one_line(cell: Cell) -> str:
     return f"{cell.text} {cell.small}" if cell.small.startswith(AGAINST) else f"{cell.text}, {cell.small}"
 
 
-def _markdown(text: str) -> str:
+def markdown_text(text: str) -> str:
+    """Return a text in which Markdown interprets nothing."""
     return MARKDOWN.sub(r"\\\1", text)
 
 

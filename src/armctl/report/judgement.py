@@ -2,20 +2,29 @@
 
 import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
+from armctl.core.console import printable
 from armctl.core.errors import ResultsError, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.episodes.output import DECISIONS, EPISODES, write_csv
 from armctl.episodes.stored import STORE, UNDISTURBED
-from armctl.judging.result import Judgement
-from armctl.report.formats import markdown
+from armctl.judging.result import Judgement, Outcome
+from armctl.report.formats import markdown, markdown_text
 from armctl.report.page import REPORT, write_task_page
 from armctl.study.comparison import Comparison
 from armctl.study.output import SUMMARY, summary
 from armctl.study.task_results import Sweep
 
 VERDICT = "verdict.md"
+MARKS: Mapping[Outcome, str] = {"better": "🟢", "worse": "🔴", "equivalent": "🟡", "undecided": "⚪"}
+
+
+def badge(judgement: Judgement) -> str:
+    """Return a line of Markdown for each pair of the verdict."""
+    lines = [f"{MARKS[end.outcome]} **{markdown_text(str(end))}**" for end in judgement.conclusions]
+    return printable("\n".join(lines) or "⚪ **no verdict**")
 
 
 def write_judgement(judgement: Judgement, folder: Path, overwrite: bool = False) -> Path:
@@ -38,7 +47,7 @@ def write_judgement(judgement: Judgement, folder: Path, overwrite: bool = False)
             pages[folder / unique] = comparison
     with os_errors_as(f"results cannot be written to {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / VERDICT, f"{judgement.badge}\n\n{markdown(judgement.document())}")
+        write_atomically(folder / VERDICT, f"{badge(judgement)}\n\n{printable(markdown(judgement.document()))}")
         for place, comparison in pages.items():
             place.mkdir(exist_ok=True)
             _write(comparison, place)

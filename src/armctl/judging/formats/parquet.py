@@ -6,6 +6,8 @@ from armctl.core.errors import missing_extra
 from armctl.judging.rows import Rows
 
 NESTED = ("list", "map", "struct")
+MAX_ROWS, LARGEST = 5_000_000, 2**30
+"""Rows, and bytes of all columns when they are unpacked: a small file may hold very large ones."""
 
 
 def read(path: Path) -> list[Rows]:
@@ -16,6 +18,10 @@ def read(path: Path) -> list[Rows]:
     except ModuleNotFoundError as error:
         raise missing_extra(str(path), error, "parquet") from error
     try:
+        about = parquet.read_metadata(path)
+        size = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
+        if about.num_rows > MAX_ROWS or size > LARGEST:
+            raise ValueError(f"it has {about.num_rows:,} rows of {size:,} bytes, more than {MAX_ROWS:,} or {LARGEST:,}")
         names = [field.name for field in parquet.read_schema(path) if not str(field.type).startswith(NESTED)]
         table = parquet.read_table(path, columns=names)
     except pyarrow.ArrowException as error:
