@@ -111,7 +111,7 @@ def _printed(words: Sequence[str], folder: Path, width: str = WIDTH) -> str:
 def results(printed: str) -> list[str]:
     """Return a comparison in Markdown, without titles and the table of pairs; how episodes ended is a list."""
     paragraphs = [part.strip() for part in printed.split("\n\n")]
-    dropped = re.compile(r"\*\*[^\n]*episodes of seed|\*\*Paired|\| a - b|p: McNemar")
+    dropped = re.compile(r"\*\*[^\n]*episodes of seed|\*\*(Paired|Unpaired)|\| a - b|p: (McNemar|Barnard)")
     return [re.sub(r"^(\S+: \d)", r"- \1", part) for part in paragraphs if not dropped.match(part)]
 
 
