@@ -14,6 +14,7 @@ from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.policies.trainings import card_path
 from armctl.report.reproduction import reproduction_document
 from armctl.rollout import evaluate
+from armctl.stats.unpaired import unconditional
 from armctl.study.reproduce import Reproduction, evaluation_of, reproduce
 
 
@@ -163,3 +164,14 @@ def test_each_figure_is_tested_on_other_episodes():
         (difference,) = Reproduction(card, claimed, found).differences
         assert difference.figure == figure
         assert difference.p < 0.05
+
+
+def test_where_the_environment_ignores_its_seed_the_episodes_are_other_ones():
+    rng, card = np.random.default_rng(0), read_card(card_path("reach_ppo"))
+    won, steps = np.arange(200) < 190, rng.integers(8, 20, 200)
+    claimed = claims(won, 90.0 * won - steps, steps)
+    measured = claims(won, 90.0 * won - steps[::-1] - 0.01, steps)
+    assert not Reproduction(card, claimed, measured).agrees
+    assert Reproduction(card, claimed, measured, obeys_seed=False).agrees
+    (difference,) = Reproduction(card, claimed.model_copy(update={"success_rate": 0.8}), measured, False).differences
+    assert difference.p == pytest.approx(3 * unconditional(160, 200, 190, 200))

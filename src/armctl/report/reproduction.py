@@ -25,7 +25,7 @@ def _rule(again: Reproduction) -> str:
     if again.same_episodes:
         return "On a card's own episodes, an agent agrees if all of the card's figures are the same."
     return (
-        "On other episodes, an agent agrees unless a test is significant at 5 % after Holm's correction: Fisher's "
+        "On other episodes, an agent agrees unless a test is significant at 5 % after Holm's correction: Barnard's "
         "exact test of success, and Welch's tests of return and steps if the card has their standard deviations."
     )
 

@@ -17,8 +17,10 @@ from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import check_from_file, full_id
 from armctl.policies.trainings import card_path
 from armctl.rollout.loop import evaluate
+from armctl.rollout.seeding import check_seed
 from armctl.stats.correction import holm
 from armctl.stats.intervals import success_rate
+from armctl.stats.unpaired import unconditional
 
 FIGURES = {
     "success_rate": "success", "success_interval": "the interval of success", "mean_return": "return",
@@ -59,11 +61,14 @@ class Reproduction:
     """The evaluation on the card."""
     measured: Evaluation
     """The new one, on the same episodes, or on as many of another seed."""
+    obeys_seed: bool = True
+    """True if the environment plays the same episodes again."""
 
     @property
     def same_episodes(self) -> bool:
         """True if both are of the same episodes."""
-        return (self.claimed.seed, self.claimed.episodes) == (self.measured.seed, self.measured.episodes)
+        claimed, measured = self.claimed, self.measured
+        return self.obeys_seed and (claimed.seed, claimed.episodes) == (measured.seed, measured.episodes)
 
     @property
     def differences(self) -> list[Difference]:
@@ -93,10 +98,9 @@ def _equal(name: str, claimed: Any, measured: Any) -> bool:
 
 
 def _told_apart(claimed: Evaluation, measured: Evaluation) -> list[Difference]:
-    """Fisher's exact test of successes, and Welch's of returns and steps if the card has their deviations."""
-    num_episodes = np.array([evaluation.episodes for evaluation in (claimed, measured)])
-    won = np.round(num_episodes * [evaluation.success_rate for evaluation in (claimed, measured)]).astype(int)
-    p_values = {"success_rate": float(scipy.stats.fisher_exact(np.column_stack((won, num_episodes - won))).pvalue)}
+    """Barnard's exact test of successes, and Welch's of returns and steps if the card has their deviations."""
+    counts = [(round(of.episodes * of.success_rate), of.episodes) for of in (claimed, measured)]
+    p_values = {"success_rate": unconditional(*counts[0], *counts[1])}
     for mean, std in (("mean_return", "std_return"), ("mean_steps", "std_steps")):
         numbers = [(getattr(of, mean), getattr(of, std), of.episodes) for of in (claimed, measured)]
         if all(None not in values and values[2] > 1 for values in numbers):
@@ -150,7 +154,8 @@ def reproduce(agent: str | Path, *, seed: Seed | None = None, worlds: int = 64, 
         env_options=card.env_options,
         lower_bound_steps=False,
     )
-    return Reproduction(card, claimed, evaluation_of(episodes, seed))
+    obeys_seed = check_seed(card.env, card.env_options).obeyed
+    return Reproduction(card, claimed, evaluation_of(episodes, seed), obeys_seed)
 
 
 def evaluation_of(episodes: pd.DataFrame, seed: int) -> Evaluation:
