@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import scipy
 import typer
 from numpy.typing import NDArray
 from printing import markdown_table, show
@@ -22,7 +23,7 @@ import armctl
 from armctl.core.arrays import Array
 from armctl.stats import sequential
 from armctl.stats.difference import LEVELS, MARGIN, within
-from armctl.stats.paired import mcnemar, mover
+from armctl.stats.paired import mover
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.stats.sequential import block_ends
 
@@ -65,9 +66,9 @@ def claimed(values: Array, margin: float = MARGIN) -> tuple[NDArray[np.int64], .
     return better, worse, equivalent
 
 
-@functools.cache
-def _p(only_a: int, only_b: int) -> float:
-    return mcnemar(only_a, only_b)
+def mcnemars_p(only_a: Any, only_b: Any) -> Any:
+    """Return p-values of `armctl.stats.paired.mcnemar`, for many pairs at once."""
+    return np.minimum(1.0, 2 * scipy.special.bdtr(np.minimum(only_a, only_b), only_a + only_b, 0.5))
 
 
 def fixed_test(values: Array, looks: Sequence[int]) -> NDArray[np.int64]:
@@ -75,7 +76,7 @@ def fixed_test(values: Array, looks: Sequence[int]) -> NDArray[np.int64]:
     won, lost = np.cumsum(values > 0, axis=1), np.cumsum(values < 0, axis=1)
     first = np.full(len(values), NEVER)
     for n in reversed(looks):
-        p = np.array([_p(a, b) for a, b in zip(won[:, n - 1].tolist(), lost[:, n - 1].tolist(), strict=True)])
+        p = mcnemars_p(won[:, n - 1], lost[:, n - 1])
         first[p < 2 * SIDE] = n
     return first
 
@@ -197,11 +198,11 @@ def _looked(values: Array, anytime: int, first: int, more: Callable[[int, int], 
     The verdict of the first look is that of the fixed test; resumed ones hold at any number of episodes.
     """
     won, lost = np.cumsum(values > 0), np.cumsum(values < 0)
-    first_claim = _p(int(won[first - 1]), int(lost[first - 1])) < 2 * SIDE
+    first_claim = bool(mcnemars_p(won[first - 1], lost[first - 1]) < 2 * SIDE)
     episodes, fixed_claim, resumed_claim = first, first_claim, False
     while episodes <= len(values) and not (fixed_claim and (first_claim or resumed_claim)):
         a, b = int(won[episodes - 1]), int(lost[episodes - 1])
-        fixed_claim |= _p(a, b) < 2 * SIDE
+        fixed_claim |= bool(mcnemars_p(a, b) < 2 * SIDE)
         resumed_claim |= episodes > first and anytime <= episodes
         if within(mover(a, b, episodes, 1 - 4 * SIDE), MARGIN):
             break

@@ -26,7 +26,9 @@ def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
         [part.text for part in one.parts if isinstance(part, Remark)]
         for one in (plan_comparison(0.05, pilot=tmp_path), general)
     )
-    assert with_pilot == ["Play them with another seed, or with the pilot's, which resumes it."]
+    until = "compare --until decided needs no number"
+    assert with_pilot[0] == "Play them with another seed, or with the pilot's, which resumes it."
+    assert [remarks[-1].startswith(until) for remarks in (with_pilot, without)] == [True, True]
     assert without[0].startswith("Two policies of 95 and 97 %")
     assert without[1] == "Policies that differ by 5 points differ in at least 5 % of their episodes."
 
