@@ -53,6 +53,9 @@ READ: dict[str, tuple] = {
     "words": (GOOD.replace("yes", "Success").replace("no", "failure"), ""),
     "ticks": (GOOD.replace("yes", "✓").replace("no", "✗"), ""),
     "German": (GOOD.replace("yes", "ja").replace("no", "nein"), ""),
+    "a column for each policy": ("trial,old,new\n1,yes,yes\n2,no,yes\n", "a column for each"),
+    "columns of counts": ("policy,successes,trials\nold,1,2\nnew,2,2\n", "stand for as many episodes"),
+    "start poses": (GOOD.replace("episode", "Start pose"), "seed from 'Start pose'"),
     "counts": ("policy,success\nold,1/2\nnew,2 of 2\n", "stand for as many episodes"),
     "short rows": (GOOD.replace("policy,episode,success", "policy,episode,success,remark,light"), ""),
     "an empty return beside success": (
@@ -96,6 +99,10 @@ REFUSED: dict[str, tuple] = {
         "line 4: success: empty: enter yes or no, or remove the row",
     ),
     "half a success": (GOOD.replace("no", "half"), "line 3: success: 'half' is neither yes nor no"),
+    "a column of rates": (
+        "policy,success_rate\nold,0.85\n",
+        "'success_rate' is a rate, .* or the counts, such as 17/20",
+    ),
     "a rate": (
         "policy,success\nold,0.85\nnew,0.9\n",
         "line 2: success: 0.85 is a rate .* a row is needed for each episode",

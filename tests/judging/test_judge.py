@@ -16,7 +16,18 @@ from armctl.judging import judge
 from ..command_line import armctl
 from .written import WINS, evaluations, judged, rows_of, table
 
-NEVER_SAID = ("simulator", "state", "untrained", "ms", "least time", "as one network", "trained for", "seed 0", "[*]")
+NEVER_SAID = (
+    "simulator",
+    "state",
+    "untrained",
+    "ms",
+    "least time",
+    "as one network",
+    "trained for",
+    "seed 0",
+    "[*]",
+    "control step",
+)
 
 
 def text_of(judgement):

@@ -13,7 +13,8 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "condition": ("condition", "conditions", "setting", "perturbation", "disturbance", "cell", "variation"),
     "training_seed": ("training_seed", "train_seed", "model_seed", "training_run", "train_run"),
     "seed": ("seed", "episode_seed", "env_seed", "eval_seed", "initial_condition", "initial_state", "init_state",
-             "init", "start", "layout"),
+             "init", "start", "start_pose", "start_position", "initial_pose", "layout",
+             "configuration"),
     "episode": ("episode", "episode_id", "episode_ix", "episode_index", "episode_idx", "episode_num", "trial",
                 "trial_id", "trial_no", "trial_number", "rollout", "rollout_id", "rollout_idx", "attempt", "ep",
                 "index", "id", "no", "nr"),
@@ -39,7 +40,7 @@ def columns_of(rows: Rows, chosen: Mapping[str, str]) -> dict[str, int]:
 
     Raises `ConfigurationError` for a chosen heading that is missing, and where several columns may be meant.
     """
-    headings = [_plain(heading) for heading in rows.headings]
+    headings = [plain(heading) for heading in rows.headings]
     twice = sorted({rows.headings[i] for i, name in enumerate(headings) if name and headings.index(name) < i})
     columns = {}
     for field, names in FIELDS.items():
@@ -59,7 +60,7 @@ def columns_of(rows: Rows, chosen: Mapping[str, str]) -> dict[str, int]:
             )
         if places:
             columns[field] = places[0]
-    if clash := [name for name in twice if headings.index(_plain(name)) in columns.values()]:
+    if clash := [name for name in twice if headings.index(plain(name)) in columns.values()]:
         raise ConfigurationError(f"{rows.source}: two columns are called {clash[0]!r}, and either may be meant")
     return columns
 
@@ -68,6 +69,11 @@ def require(rows: Rows, columns: Mapping[str, int]) -> None:
     """Raise `ConfigurationError` unless there is a column of success, return or time."""
     if set(SCORES).isdisjoint(columns):
         listed = ", ".join(map(repr, rows.headings[:12])) or "none"
+        if rates := [name for name in rows.headings if "rate" in plain(name) or "%" in name]:
+            raise ConfigurationError(
+                f"{rows.source}: {rates[0]!r} is a rate, and says nothing without the number of episodes: a row is "
+                "needed for each episode, or the counts, such as 17/20, in a column success"
+            )
         raise ConfigurationError(
             f"{rows.source} has no column of success, return or time, under any usual name: say which it is, as in "
             f"--success-column NAME. Its columns are {listed}"
@@ -79,7 +85,7 @@ def used_in_words(rows: Rows, columns: Mapping[str, int]) -> str:
     renamed = [
         f"{field.replace('_', ' ')} from {rows.headings[place]!r}"
         for field, place in columns.items()
-        if _plain(rows.headings[place]) != field
+        if plain(rows.headings[place]) != field
     ]
     unused = [repr(name) for i, name in enumerate(rows.headings) if name and i not in columns.values()]
     parts = [f"read {', '.join(renamed)}"] * bool(renamed) + [f"not used: {', '.join(unused[:8])}"] * bool(unused)
@@ -93,8 +99,8 @@ def _option(field: str) -> str:
 def _place(rows: Rows, headings: Sequence[str], name: str, field: str) -> int:
     if name in rows.headings:
         return rows.headings.index(name)
-    if _plain(name) in headings:
-        return headings.index(_plain(name))
+    if plain(name) in headings:
+        return headings.index(plain(name))
     listed = ", ".join(map(repr, rows.headings))
     raise ConfigurationError(
         f"{rows.source} has no column {name!r} for the {field.replace('_', ' ')}."
@@ -102,7 +108,7 @@ def _place(rows: Rows, headings: Sequence[str], name: str, field: str) -> int:
     )
 
 
-def _plain(heading: str) -> str:
+def plain(heading: str) -> str:
     """Return a heading as `FIELDS` has it: in lower case, with underscores, without a unit in brackets."""
     without_unit = re.sub(r"[(\[].*?[)\]]", "", heading) if not heading.startswith(("(", "[")) else heading
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", without_unit)

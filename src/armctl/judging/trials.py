@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from armctl.core.errors import ConfigurationError
 from armctl.judging.columns import SCORES, columns_of, require, used_in_words
+from armctl.judging.reshape import one_column_per_policy, with_counts
 from armctl.judging.rows import Rows
 from armctl.judging.typed import NAMES, typed_columns
 from armctl.stats.intervals import Bounds
@@ -78,6 +79,7 @@ def trials_of(parts: Sequence[Rows], chosen: Mapping[str, str], default_policies
     Raises `ConfigurationError` with file, line and reason for everything that is not clear.
     """
     result = Trials()
+    parts = [rows if rows.known else _laid_out(rows, chosen) for rows in parts]
     columns = [columns_of(rows, chosen) for rows in parts]
     for rows, places in zip(parts, columns, strict=True):
         require(rows, places)
@@ -99,6 +101,16 @@ def trials_of(parts: Sequence[Rows], chosen: Mapping[str, str], default_policies
         _add(result, rows, values)
     _merge_spellings(result)
     return result
+
+
+def _laid_out(rows: Rows, chosen: Mapping[str, str]) -> Rows:
+    """Return rows with columns of policy and success, if they can be told from another layout."""
+    columns = columns_of(rows, chosen)
+    if set(SCORES).isdisjoint(columns):
+        rows = with_counts(rows)
+        if "policy" not in columns and rows.values:
+            return one_column_per_policy(rows, set(columns.values()))
+    return rows
 
 
 def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> None:

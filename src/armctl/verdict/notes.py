@@ -29,7 +29,7 @@ def certificate_notes(results: EpisodeTable) -> list[str]:
 
 def first_step_notes(counted: Mapping[str, EpisodeTable]) -> list[str]:
     """Return a remark if every policy wins some episodes in its first control step: they may begin with a success."""
-    won = [table[table.won & (table.column("length") <= 1)].column("episode") for table in counted.values() if table]
+    won = [table[table.won & (table.column("length") == 1)].column("episode") for table in counted.values() if table]
     shared = set.intersection(*map(set, won)) if won else set()
     if not shared:
         return []
