@@ -53,6 +53,14 @@ class StudyRequest:
     workers: Workers = 1
     on: On = "local"
     policy_seed: PolicySeed = None
+    isolate: Annotated[
+        bool,
+        typer.Option(
+            "--isolate",
+            help="Play each policy in a process of its own, which gets observations only: no world, no seed. Policies "
+            "that see the true state cannot be isolated.",
+        ),
+    ] = False
     table_format: Format = TableFormat.TABLE
 
 
@@ -312,6 +320,7 @@ def _play(
             "worlds": request.worlds,
             "workers": engine,
             "policy_seed": request.policy_seed,
+            "isolate": request.isolate,
         }
         plan = make_plan(options)
         task = bar.add_task("", total=plan.total)

@@ -27,3 +27,12 @@ def privileges(by_name: Mapping[str, str]) -> str:
         return ""
     parts = (f"{name} ({privilege})" for name, privilege in by_name.items())
     return f"Their privileges differ: {', '.join(parts)}."
+
+
+def isolation(by_name: Mapping[str, bool]) -> str:
+    """Return a sentence about which policies were isolated; empty if none was."""
+    apart, others = ([name for name, is_apart in by_name.items() if is_apart == side] for side in (True, False))
+    if not apart:
+        return ""
+    but = f", and not {', '.join(others)}" if others else ""
+    return f"Isolated, each in a process of its own that got observations only: {', '.join(apart)}{but}."

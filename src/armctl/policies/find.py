@@ -107,24 +107,36 @@ def make_policy(
     return result
 
 
-def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
+def loaded(policy: Any) -> Any:
+    """Return a function, class or object that makes a policy, or is one, of any form that `make_policy` takes.
+
+    Of a learned agent's file or training, return its path. Raises `ConfigurationError` and `AgentFileError`.
+    """
     if not isinstance(policy, (str, Path)):
-        return adapted(policy, worlds, policy_name(policy), streams)
+        return policy
     name = with_agent(str(policy))
     if Path(name).suffix in FILES:
-        return load_agent(Path(name), worlds)
+        return Path(name)
     if (card := training_card(name)) is not None:
-        return load_agent(card, worlds)
+        return card
     if Path(name).suffix == ".zip":
         raise ConfigurationError(
             f"{name} may be a model of Stable-Baselines3's, which holds pickles: "
             f"`armctl export {name} --env ID --out agent.onnx --trust` makes an agent of it"
         )
-    if worlds.normalized and is_expert(name):
-        raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
     if (configuration := configured(name)) is not None:
-        return adapted(configuration.make(), worlds, name, streams)
+        return configuration.make()
     if name in policy_names():
-        return adapted(load_installed(GROUP, name, "policy"), worlds, name, streams)
+        return load_installed(GROUP, name, "policy")
     check_policy_name(name)
-    return adapted(import_attribute(name, "policy"), worlds, name, streams)
+    return import_attribute(name, "policy")
+
+
+def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
+    name = with_agent(str(policy)) if isinstance(policy, (str, Path)) else policy_name(policy)
+    source = loaded(policy)
+    if isinstance(source, Path):
+        return load_agent(source, worlds)
+    if isinstance(policy, (str, Path)) and worlds.normalized and is_expert(name):
+        raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
+    return adapted(source, worlds, name, streams)

@@ -4,7 +4,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ from armctl.episodes.table import EpisodeTable
 from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
 from armctl.rollout.decision_times import Errors, TimedPolicy, timed_construction
 from armctl.rollout.recorder import EpisodeRecorder
+from armctl.runtime.isolation import IsolatedPolicy, isolated
 from armctl.runtime.state_guard import StateGuard
 
 if TYPE_CHECKING:
@@ -95,7 +96,8 @@ class _Player:
         self, timed: TimedPolicy, env: EpisodeVectorEnv, recorder: EpisodeRecorder, seed: int, name: str
     ) -> None:
         self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
-        self._guard = StateGuard(env, timed.policy.sees == "state", getattr(timed.policy, "foresight", ()))
+        guard = StateGuard(env, timed.policy.sees == "state", getattr(timed.policy, "foresight", ()))
+        self._guarded = _out_of_reach if isinstance(timed.policy, IsolatedPolicy) else guard.assert_unchanged
         self._numbers = np.zeros(env.num_envs, dtype=np.int64)
         """(n,) the episode of each world."""
         self._playing = np.zeros(env.num_envs, dtype=bool)
@@ -199,13 +201,13 @@ class _Player:
 
     def _reset(self, starting: NDArray[np.bool_]) -> Errors:
         """Tell the policy that episodes start."""
-        with self._policy_errors(), self._guard.assert_unchanged(new_episode=True):
+        with self._policy_errors(), self._guarded(new_episode=True):
             return self._timed.reset(np.flatnonzero(starting).astype(np.int32), self._numbers[starting].tolist())
 
     def _act(self, attempts: Mapping[int, _Attempt]) -> tuple[Any, NDArray[np.float64], Errors]:
         """Return actions (n, ...), the time of each world's decision, and errors by world, also for invalid actions."""
         with self._policy_errors():
-            with self._guard.assert_unchanged():
+            with self._guarded():
                 actions, decision_ms, errors = self._timed.act(self._observations)
             if valid := [i for i in range(self._env.num_envs) if i not in errors]:
                 errors = self._env.unwrapped.invalid_actions(_without(actions, errors, valid)) | errors
@@ -239,6 +241,11 @@ class _Player:
             raise PolicyDisqualified(f"{self._name} is disqualified: in episode {episode}, {error}") from error
         except FAILURES as error:
             raise _UnknownWorldFailed(error) from error
+
+
+def _out_of_reach(new_episode: bool = False) -> AbstractContextManager[None]:
+    """Check nothing: an isolated policy has no world that it could write to."""
+    return nullcontext()
 
 
 def _without(actions: Any, errors: Errors, valid: Sequence[int] | NDArray[np.intp]) -> Any:
@@ -282,8 +289,15 @@ def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int
     return build_timed(policy, env, name, policy_seed)[0]
 
 
-def build_timed(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> tuple[Policy, float]:
-    """Do the same, and return also the time that took (see `timed_construction`)."""
+def build_timed(
+    policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int, isolate: bool = False
+) -> tuple[Policy, float]:
+    """Do the same, and return also the time that took (see `timed_construction`).
+
+    With `isolate`, the policy is made in a process of its own, if it can be (see `armctl.runtime.isolation`).
+    """
+    if isolate and (apart := isolated(policy, env, name, policy_seed)) is not None:
+        return apart, apart.construction_ms
     guard = StateGuard(env)
     try:
         with guard.assert_unchanged(new_episode=True):

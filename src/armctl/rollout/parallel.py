@@ -44,6 +44,8 @@ class WorkerConfig:
     policy_seed: int = field(compare=False, repr=False)
     """Secret from which policies draw their random numbers (see `armctl.envs.policy_seed`)."""
     workers: int = field(compare=False, default=1)
+    isolate: bool = field(compare=False, default=False)
+    """True if each policy plays in a process of its own, besides the worker."""
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
     interfaces: Callable[..., WorldsByInterface] = field(default=WorldsByInterface, compare=False)
@@ -245,7 +247,7 @@ def _actor(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
             vars(sys.modules["__main__"]).setdefault(config.env.rpartition(":")[2], config.maker)
         interfaces = config.interfaces(config.env, config.num_envs, config.env_options, threads=1)
         worlds = interfaces.of(policy)
-        actor, construction_ms = build_timed(policy, worlds, name, config.policy_seed)
+        actor, construction_ms = build_timed(policy, worlds, name, config.policy_seed, config.isolate)
         if expected := setting.identities.get(name):
             check_same_identity(expected, _identity_elsewhere(setting, name, actor, worlds))
         timed = TimedPolicy(actor, worlds.num_envs, config.workers)

@@ -24,7 +24,7 @@ Step = tuple[Any, float, bool, bool]
 
 @dataclass(frozen=True)
 class SeedCheck:
-    """How an environment takes its seed."""
+    """Result of the trials of an environment and its seed."""
 
     notes: list[str]
     """Remarks about one that plays an episode differently each time, or all episodes alike."""

@@ -4,6 +4,7 @@ import ast
 import functools
 import importlib.util
 import inspect
+import operator
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,12 +16,13 @@ import mujoco
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
-from armctl.agents import OnnxPolicy
+from armctl.agents import AgentCard, OnnxPolicy
 from armctl.core.errors import ConfigurationError
 from armctl.core.files import short_checksum
 from armctl.core.registration import import_attribute, import_named, load_installed
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
 from armctl.policies import GROUP, Policy, configured, policy_names
+from armctl.policies.trainings import card_of
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
 from armctl.runtime.folder import differences
 from armctl.runtime.own_code import file_of, is_core, is_library, is_library_file, is_own
@@ -50,9 +52,14 @@ def identity(
     `real_time` is `RealTime.identity`. Agents, code of one's own, objects, files among the options, the compiled MuJoCo
     model with its meshes, and armctl's source count by checksum; so do the task's constants, as they are, and all
     loaded modules of one's own, by their files. Other files that a policy or an environment opens are not known,
-    nor what it imports by a computed name while it plays.
+    nor what it imports by a computed name while it plays. Of an isolated policy, its own process has imported the code,
+    and tells of it.
     """
-    definitions = {name: _definition(policy) for name, policy in requested.items()}
+    isolated = {name: policy.own_code for name, policy in policies.items() if hasattr(policy, "own_code")}
+    apart = {name: code for name, code in isolated.items() if code is not None}
+    definitions = {name: _definition(policy) for name, policy in requested.items() if name not in apart}
+    cards = {name: card for name, policy in policies.items() if (card := _card(requested[name], policy)) is not None}
+    of_code = checksums(env, worlds, env_options, definitions.values())
     return {
         "env": env,
         "env_options": {name: _in_words(value) for name, value in env_options.items()},
@@ -61,19 +68,30 @@ def identity(
         "real_time": real_time,
         "policies": list(requested),
         "sees": {name: policy.sees for name, policy in policies.items()},
-        "agents": {name: policy.card.sha256 for name, policy in policies.items() if isinstance(policy, OnnxPolicy)},
-        "interfaces": {
-            name: policy.card.env_options for name, policy in policies.items() if isinstance(policy, OnnxPolicy)
-        },
-        "objects": {name: fingerprint(requested) for name, requested in definitions.items() if requested is not None},
+        **({"isolated": [*isolated]} if isolated else {}),
+        "agents": {name: card.sha256 for name, card in cards.items()},
+        "interfaces": {name: card.env_options for name, card in cards.items()},
+        "objects": {name: fingerprint(requested) for name, requested in definitions.items() if requested is not None}
+        | {name: code.objects for name, code in apart.items()},
         "makers": fingerprint([*_makers(env, worlds)]),
         "constants": fingerprint(constants(worlds)),
         "notes": list(worlds.task.notes),
-        LOADED: _loaded(),
-        **checksums(env, worlds, env_options, definitions.values()),
+        LOADED: functools.reduce(operator.or_, (code.loaded for code in apart.values()), _loaded()),
+        **of_code | {"code": functools.reduce(operator.or_, (code.code for code in apart.values()), of_code["code"])},
         "versions": versions(),
         "source": checksum_of_core(),
     }
+
+
+def code_of(policy: str) -> tuple[str, dict[str, str], dict[str, str]]:
+    """Return the fingerprint of a policy, the checksums of its code, and those of all own modules that are loaded."""
+    definition = _definition(policy)
+    return fingerprint(definition), checksums_of_code([definition]), _loaded()
+
+
+def _card(requested: Any, policy: Policy) -> AgentCard | None:
+    """Return the card of an agent; None for any other policy."""
+    return policy.card if isinstance(policy, OnnxPolicy) else card_of(requested)
 
 
 def checksums(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import bare_id
-from armctl.envs import ERROR, RETURN_BOUNDS, EpisodeVectorEnv, ThirdPartyVectorEnv
+from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv
 from armctl.episodes.failures import PolicyDisqualified
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import CellWriter, Store
@@ -31,11 +31,11 @@ from armctl.rollout.parallel import (
 from armctl.rollout.real_time import RealTimePolicy, check_real_time
 from armctl.rollout.seeding import SeedCheck, check_seed
 from armctl.runtime.identity import identity
+from armctl.runtime.isolation import IsolatedPolicy, close
 from armctl.runtime.provenance import RunMeter, machine, versions
 from armctl.runtime.workers import WorkersFailed
-from armctl.stats.intervals import Bounds
 from armctl.study.comparison import Comparison, concluded
-from armctl.study.events import Events
+from armctl.study.events import Events, check_return
 from armctl.study.plan import Cell, Plan
 from armctl.verdict.facts import Facts, PolicyFacts, training_cost_of
 from armctl.verdict.sentences import is_decided
@@ -164,9 +164,10 @@ class _Line:
                 for name, policy in self.policies.items()
             }
             return lambda waiting, finished: play_here(timed, worlds, plan.seed, waiting, lower_bound_steps, finished)
+        close(self.policies.values())  # workers make their own
         config = WorkerConfig(
             cell.env, plan.num_envs_in(cell), dict(cell.env_options), plan.seed, self.policy_seed, engine.workers,
-            interfaces=interfaces, recording=recording, alternating=plan.until_decided,
+            plan.isolate, interfaces=interfaces, recording=recording, alternating=plan.until_decided,
         )  # fmt: skip
         setting = Setting(config, self.playing)
         return lambda waiting, finished: play_in_workers(
@@ -190,6 +191,7 @@ class _Line:
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
                     tuple(name for name in getattr(policy, "foresight", ()) if name in env.foresight),
+                    isolated=isinstance(policy, IsolatedPolicy),
                 )
                 for name, policy in self.policies.items()
             },
@@ -224,7 +226,8 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         interfaces = recorder.interfaces(cell.env, num_envs if plan.engine.is_local else 1, cell.env_options)
         stack.callback(interfaces.close)
         events = Events()
-        policies = _policies(cell, interfaces, session.policy_seed, events)
+        policies = _policies(cell, interfaces, session, events)
+        stack.callback(close, policies.values())
         line = _Line(cell, plan, session.policy_seed, recorder, interfaces, policies)
         notes = _notes(line, task)
         recorder.check(line.env, cell)
@@ -266,12 +269,14 @@ def _results(writer: CellWriter, line: _Line, events: Events) -> EpisodeTable:
     return results[~np.isin(results.column("policy"), events.disqualified)].sorted(list(line.policies))
 
 
-def _policies(cell: Cell, interfaces: WorldsByInterface, policy_seed: int, events: Events) -> dict[str, Policy]:
+def _policies(cell: Cell, interfaces: WorldsByInterface, session: Session, events: Events) -> dict[str, Policy]:
     """Return the policies, built before anything is reset; without any that write to the world."""
     policies = dict[str, Policy]()
     for name, policy in cell.players.items():
         try:
-            policies[name], events.construction_ms[name] = build_timed(policy, interfaces.of(policy), name, policy_seed)
+            policies[name], events.construction_ms[name] = build_timed(
+                policy, interfaces.of(policy), name, session.policy_seed, session.plan.isolate
+            )
         except PolicyDisqualified as failure:
             events.note(failed(name, [], failure))
     return policies
@@ -324,7 +329,7 @@ def _play(
                     in_workers[batch.policy] = max(spent, in_workers.get(batch.policy, 0.0))
                 meter.update_load()
                 for result in batch.results:
-                    _check_return(result, line.env.stated_return_bounds)
+                    check_return(result, line.env.stated_return_bounds)
                     if session.recorder.keep(result):
                         writer.write(replace(result, run=meter.run.id))
                         session.progress(line.cell, result)
@@ -333,15 +338,3 @@ def _play(
     except KeyboardInterrupt:
         events.interrupted = True
     events.construction_ms |= in_workers
-
-
-def _check_return(result: EpisodeResult, bounds: Bounds | None) -> None:
-    """Raise `ConfigurationError` for a return beyond the stated bounds, by more than what sums are rounded by."""
-    if bounds is None or result.outcome == ERROR:
-        return
-    rounding = 1e-9 * max(map(abs, bounds))
-    if not bounds[0] - rounding <= result.total_reward <= bounds[1] + rounding:
-        raise ConfigurationError(
-            f"episode {result.episode} of {result.policy} has the return {result.total_reward:g}, outside the stated "
-            f"{RETURN_BOUNDS} [{bounds[0]:g}, {bounds[1]:g}], which no episode may exceed: correct them"
-        )

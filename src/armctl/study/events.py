@@ -1,11 +1,13 @@
-"""What happens while a cell is played, besides its episodes."""
+"""Events of a cell besides its episodes, while it is played: failures, interrupts, returns beyond their bounds."""
 
 from dataclasses import dataclass, field
 
-from armctl.envs import ERROR
-from armctl.episodes.record import FailedEpisode
+from armctl.core.errors import ConfigurationError
+from armctl.envs import ERROR, RETURN_BOUNDS
+from armctl.episodes.record import EpisodeResult, FailedEpisode
 from armctl.episodes.table import EpisodeTable
 from armctl.rollout.parallel import RolloutBatch
+from armctl.stats.intervals import Bounds
 
 
 @dataclass
@@ -52,3 +54,15 @@ class Events:
                 f"which count as failures; {first}"
             )
             self.failures[name] = "; ".join(filter(None, (self.failures.get(name), message)))
+
+
+def check_return(result: EpisodeResult, bounds: Bounds | None) -> None:
+    """Raise `ConfigurationError` for a return beyond the stated bounds, by more than what sums are rounded by."""
+    if bounds is None or result.outcome == ERROR:
+        return
+    rounding = 1e-9 * max(map(abs, bounds))
+    if not bounds[0] - rounding <= result.total_reward <= bounds[1] + rounding:
+        raise ConfigurationError(
+            f"episode {result.episode} of {result.policy} has the return {result.total_reward:g}, outside the stated "
+            f"{RETURN_BOUNDS} [{bounds[0]:g}, {bounds[1]:g}], which no episode may exceed: correct them"
+        )

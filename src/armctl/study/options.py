@@ -20,6 +20,10 @@ class StudyOptions(TypedDict, total=False):
     workers: int | Engine
     """Number of processes that play, 1 by default, each with `worlds` worlds on one core; or an engine, whose workers
     play (`armctl.runtime.engines.connect`). Decision times are then measured while the other processes compute."""
+    isolate: bool
+    """Play each policy in a process of its own, which gets observations only: no world, seed or episode number (see
+    `armctl.runtime.isolation`). Its episodes are the same, and decision times are measured in that process. Installed
+    policies that see the true state play as ever, and are named; others that see it are refused."""
     policy_seed: int | None
     """Secret from which policies draw their own random numbers (see `armctl.envs.policy_seed`), so that another study
     draws the same. By default, that of the folder, or a new one; it is in the summary."""

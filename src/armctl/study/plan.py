@@ -113,6 +113,8 @@ class Plan:
     """Number of episodes of each policy in each cell."""
     num_envs: int = 1
     engine: Engine = field(default_factory=lambda: engine_of(1))
+    isolate: bool = False
+    """True if each policy plays in a process of its own."""
     baseline: str | None = None
     margin: float = MARGIN
     until_decided: bool = False
@@ -215,7 +217,10 @@ def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
     """Return the arguments of `Plan` that all kinds share. Raise `ConfigurationError`."""
     num_envs, workers = options.get("worlds", 1), options.get("workers", 1)
     check_counts(episodes=episodes, worlds=num_envs, **({"workers": workers} if isinstance(workers, int) else {}))
-    return {"episodes": episodes, "seed": seed, "num_envs": num_envs, "engine": engine_of(workers)}
+    isolate = options.get("isolate", False)
+    return {
+        "episodes": episodes, "seed": seed, "num_envs": num_envs, "engine": engine_of(workers), "isolate": isolate
+    }  # fmt: skip
 
 
 def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from pydantic import InstanceOf
 
 from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
+from armctl.policies import isolation
 from armctl.stats.difference import Difference
 from armctl.stats.intervals import Estimate
 from armctl.stats.robustness import NEUTRAL, PairKey, change_between
@@ -63,6 +64,9 @@ class Sweep(Displayed):
         waiting = (comparison for comparison in self.comparisons.values() if comparison.facts.real_time is None)
         notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
+        if self.undisturbed is not None:
+            apart = isolation({policy.policy: policy.isolated for policy in self.undisturbed.policies})
+            parts += [Remark(apart)] if apart else []
         if self.recorded:
             times = f"with the decision times of {self.recorded}"
             parts.append(Remark(f"{SLOW_DOWN_NAME}: in real time, {times}; at level 0, the world waits."))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from armctl.core.registration import bare_id, short_name
 from armctl.episodes.stored import UNDISTURBED
-from armctl.policies import privileges
+from armctl.policies import isolation, privileges
 from armctl.runtime.provenance import looks_in_words, with_looks
 from armctl.stats.across_tasks import Choice, TaskPair, choose, mean_difference, pairwise_by_task, rate_of, values_of
 from armctl.stats.correction import holm
@@ -168,7 +168,8 @@ class TaskVerdict:
         parts = [words for policy in contenders for words in policy.effort]
         parts.append(f"median decision time: {_times(contenders)}")
         sees = privileges({policy.policy: policy.privilege for policy in contenders})
-        return " ".join(filter(None, ("; ".join(parts) + ".", sees)))
+        apart = isolation({policy.policy: policy.isolated for policy in self.policies})
+        return " ".join(filter(None, ("; ".join(parts) + ".", sees, apart)))
 
     @property
     def context(self) -> str:

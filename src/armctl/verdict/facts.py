@@ -36,6 +36,8 @@ class PolicyFacts:
     """Foresight that it declares, of what this environment has: keys of `FORESIGHT`."""
     kind: Literal["learned", "classical", "not declared"] | None = None
     """Kind of policy as it was declared for results made elsewhere; None: its training cost tells."""
+    isolated: bool = False
+    """True if it played in a process of its own, which got observations only."""
 
 
 def training_cost_of(policy: Any) -> TrainingCost:

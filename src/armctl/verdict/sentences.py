@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from armctl.episodes.table import EpisodeTable
-from armctl.policies import policy_names, privileges
+from armctl.policies import isolation, policy_names, privileges
 from armctl.runtime.provenance import looks_in_words
 from armctl.stats.correction import AdjustedP, holm_adjusted
 from armctl.stats.difference import MARGIN, SIGNIFICANT, Difference, significant, within
@@ -75,7 +75,8 @@ def verdict(
     comparison that stopped early. Policies that a disturbance does not affect are in no pair, and named at the end.
     """
     fewest = min((pair.episodes for pair in differences), default=FEWEST)
-    remarks = (*map(_physics_failed, policies), _not_tested(policies))
+    apart = isolation({policy.policy: policy.isolated for policy in policies})
+    remarks = (apart, *map(_physics_failed, policies), _not_tested(policies))
     if fewest < FEWEST:
         result = f"No verdict from {fewest} episode{'s' if fewest > 1 else ''}: at least {FEWEST} are needed."
         return Verdict(result, context=_joined(*remarks))

@@ -103,6 +103,8 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     family: str = ""
     """Kind of method that the policy declares, such as `MPC`; of another, its name."""
     foresight: tuple[str, ...] = ()
+    isolated: bool = False
+    """True if it played in a process of its own, which got observations only."""
     """Foresight, such as `pedestrians`."""
     kind: str | None = None
     """Kind of policy as `PolicyFacts` has it."""
@@ -189,6 +191,7 @@ def summarise(
             spared=members[0].spared,
             family=members[0].family or name,
             foresight=members[0].foresight,
+            isolated=all(member.isolated for member in members),
             kind=members[0].kind,
             **vars(_performance(together, scored, limits, facts.unknown)),
             **vars(decision_times(comparable_times(together, machines), construction_ms, bool(facts.sources))),
