@@ -303,7 +303,7 @@ TABLES = {
         unpaired,
         (
             "success, %", "episodes", "success: Newcombe", "too low", "too high", "p < 5 %, Barnard", "p < 5 %, Fisher",
-            "return: random weights", "too low", "too high", "Welch", "higher return: p < 5 %, random weights",
+            "return: distribution-free", "too low", "too high", "Welch", "higher return: p < 5 %, distribution-free",
             "p < 5 %, Mann-Whitney",
         ),
     ),

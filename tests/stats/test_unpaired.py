@@ -110,6 +110,11 @@ def test_the_power_is_that_of_the_test(better, worse, n, level):
     assert unpaired_power(better, worse, n, level) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("rate", [0.5, 0.8, 0.95, 0.99])
+def test_errors_of_a_thousand_episodes_are_close_to_five_percent(rate):
+    assert 0.046 < 2 * unpaired_power(rate, rate, 1000, 0.05) <= 0.05
+
+
 BOUNDS = (-100.0, 99.0)
 
 
