@@ -167,3 +167,20 @@ def test_results_of_armctl_and_of_others_are_judged_together(tmp_path):
     comparison = judge([tmp_path / "out", tmp_path / "trials.csv"]).overall
     assert comparison.facts.paired
     assert comparison.differences[0].episodes == 20
+
+
+@pytest.mark.slow
+def test_conditions_that_are_levels_make_a_sweep(tmp_path):
+    played = armctl.sweep(
+        ["random", "reach_ik"], disturbances={"payload": [2.0, 4.0]}, episodes=20, out=tmp_path / "out", worlds=20
+    )
+    facts = played.undisturbed.facts
+    known = {"max_steps": facts.time_limit, "return_bounds": facts.return_bounds}
+    judgement = judge(tmp_path / "out" / "episodes.csv", **known)
+    mine, theirs = (
+        [part.rows for part in parts if getattr(part, "key", "") == "points"]
+        for parts in (judgement.study, played.document().parts)
+    )
+    assert mine == theirs
+    own = judge(tmp_path / "out").document()
+    assert str(own) == str(played.document())

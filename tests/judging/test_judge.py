@@ -295,3 +295,31 @@ def test_names_write_nothing_to_the_terminal_but_themselves(tmp_path):
         assert "\x1b" not in printed
         assert "\\x1b[2Jw" in printed.replace("\\[", "[").replace("\\\\", "\\")
     assert "w\\*\\_\\<b\\>" in armctl("judge", "trials.csv", "--badge", cwd=tmp_path).stdout
+
+
+def test_a_suite_answers_for_classical_and_learned_policies(tmp_path):
+    judgement = tasks_of(tmp_path, [12, 0, 12, -8], learned=("new",))
+    headline = judgement.study[0].text
+    assert headline.startswith("Of 4 tasks, by success: ")
+    assert "learned is better in pick 0 and pick 2" in headline
+    assert "classical is better in pick 3" in headline
+    assert "seed 0" not in text_of(judgement)
+    assert "decision time" not in " ".join(part.text for part in judgement.study if hasattr(part, "text"))
+    assert list(tasks_of(tmp_path, [12, 0, 12, -8]).study) == []
+
+
+@pytest.mark.parametrize(
+    ("conditions", "swept"),
+    [
+        (("none", "payload-1.0", "payload-2"), True),
+        (("Nominal", "delay 40 ms", "delay 80 ms"), True),
+        (("payload-1.0", "payload-2"), False),
+        (("none", "dim light"), False),
+        (("none", "payload-1", "payload-1.0"), False),
+    ],
+)
+def test_conditions_are_a_sweep_only_with_levels_and_an_undisturbed_one(tmp_path, conditions, swept):
+    lines = ["policy,condition,episode,success"]
+    lines += [f"{name},{condition},{k},{int(k < won - 3 * i)}" for i, condition in enumerate(conditions)
+              for name, won in (("a", 18), ("b", 12)) for k in range(20)]  # fmt: skip
+    assert bool(judged(tmp_path, lines).study) == swept

@@ -50,18 +50,25 @@ class Terms:
 
 
 @dataclass
-class _Cell:
+class TrialCell:
     """Trials of one task under one condition, by policy and training."""
 
     name: str
+    task: str = ""
+    condition: str = ""
     members: dict[tuple[str, str], list[Trial]] = field(default_factory=dict)
     paired: bool = False
     left_out: int = 0
     """Number of trials that not all policies have."""
 
+    @property
+    def episodes(self) -> tuple[tuple[str, str], ...]:
+        """Keys of the first policy's episodes, in their order."""
+        return tuple(trial.key for trial in next(iter(self.members.values())))
 
-def comparisons_of(found: Trials, terms: Terms) -> dict[str, Comparison]:
-    """Return a comparison for each cell, by its name; if there are several and they are balanced, also `ALL`.
+
+def comparisons_of(found: Trials, terms: Terms) -> list[tuple[TrialCell, Comparison]]:
+    """Return each cell with its comparison; the last of several is `ALL` together, if they are balanced.
 
     Raises `ConfigurationError`.
     """
@@ -78,7 +85,7 @@ def comparisons_of(found: Trials, terms: Terms) -> dict[str, Comparison]:
     cells = [_paired(cell, terms) for cell in _cells(found, policies, terms.task)]
     if len(cells) > 1 and (pooled := _pooled(cells)) is not None:
         cells.append(pooled)
-    return {cell.name: _concluded(cell, found, policies, terms) for cell in cells}
+    return [(cell, _concluded(cell, found, policies, terms)) for cell in cells]
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
@@ -131,12 +138,12 @@ def _mean_times(trials: Sequence[Trial], scored: bool) -> list[str]:
     return [f"Mean time of {'successes' if scored else 'episodes'}: {means}; it is not tested."] if means else []
 
 
-def _cells(found: Trials, policies: Sequence[str], task: str) -> list[_Cell]:
+def _cells(found: Trials, policies: Sequence[str], task: str) -> list[TrialCell]:
     """Return the cells in the natural order of their names, their policies in the given order."""
-    cells: dict[tuple[str, str], _Cell] = {}
+    cells: dict[tuple[str, str], TrialCell] = {}
     for trial in found.trials:
         name = ", ".join(filter(None, (trial.task, trial.condition))) or task
-        cell = cells.setdefault((trial.task, trial.condition), _Cell(name))
+        cell = cells.setdefault((trial.task, trial.condition), TrialCell(name, trial.task, trial.condition))
         cell.members.setdefault((trial.policy, trial.training_seed), []).append(trial)
     for cell in cells.values():
         order = sorted(cell.members, key=lambda member: (policies.index(member[0]), natural(member[1])))
@@ -149,7 +156,7 @@ def _cells(found: Trials, policies: Sequence[str], task: str) -> list[_Cell]:
     return sorted(cells.values(), key=lambda cell: natural(cell.name))
 
 
-def _paired(cell: _Cell, terms: Terms) -> _Cell:
+def _paired(cell: TrialCell, terms: Terms) -> TrialCell:
     """Find out whether the policies of a cell played the same episodes, and put these into the same order."""
     keys = {member: _keys(trials) for member, trials in cell.members.items()}
     has_keys = all(all(any(key) for key in places) for places in keys.values())
@@ -195,9 +202,11 @@ def _values(trial: Trial) -> tuple[float, ...]:
     return tuple(-math.inf if value is None else float(value) for value in scores)
 
 
-def _pooled(cells: Sequence[_Cell]) -> _Cell | None:
+def _pooled(cells: Sequence[TrialCell]) -> TrialCell | None:
     """Return all cells as one; None unless all have the same policies, and each as many episodes of each."""
-    pooled = _Cell(ALL, {member: [] for member in cells[0].members}, all(cell.paired for cell in cells))
+    pooled = TrialCell(
+        ALL, members={member: [] for member in cells[0].members}, paired=all(cell.paired for cell in cells)
+    )
     for cell in cells:
         if list(cell.members) != list(pooled.members) or len({len(trials) for trials in cell.members.values()}) > 1:
             return None
@@ -206,7 +215,7 @@ def _pooled(cells: Sequence[_Cell]) -> _Cell | None:
     return pooled
 
 
-def _concluded(cell: _Cell, found: Trials, policies: Sequence[str], terms: Terms) -> Comparison:
+def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: Terms) -> Comparison:
     """Return the comparison of a cell."""
     trainings = {policy: [seed for name, seed in cell.members if name == policy] for policy in policies}
     names = {
@@ -264,7 +273,7 @@ def _policy_facts(policy: str, found: Trials, terms: Terms) -> PolicyFacts:
     return PolicyFacts(UNDECLARED, TrainingCost(steps), None, (), kind=kind)
 
 
-def _table(cell: _Cell, names: Mapping[tuple[str, str], str], unknown: Sequence[str]) -> EpisodeTable:
+def _table(cell: TrialCell, names: Mapping[tuple[str, str], str], unknown: Sequence[str]) -> EpisodeTable:
     """Return the episodes, numbered from 0 on for each policy: equal numbers are equal episodes if they are pairs."""
     trials = [(names[member], k, trial) for member, trials in cell.members.items() for k, trial in enumerate(trials)]
     n = len(trials)

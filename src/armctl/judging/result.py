@@ -1,7 +1,7 @@
 """The judgement of results made anywhere: a comparison of each task and condition, and of all together."""
 
 import functools
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -47,6 +47,8 @@ class Judgement(Displayed):
     """A comparison for each task and condition."""
     overall: Comparison | None
     """All of them together, or the only one; None if policies have different numbers of episodes in them."""
+    study: Sequence[Table | Remark] = ()
+    """Tables and sentences of the sweep or the suite that the cells are."""
     own: Displayed | None = None
     """Sweep or suite that armctl played, whose tables are shown as they are."""
 
@@ -91,7 +93,7 @@ class Judgement(Displayed):
             )
             notes = dict.fromkeys(note for comparison in self.cells.values() for note in comparison.notes)
             parts += [Remark(note, "note") for note in notes]
-        return Document([*parts, self._table()], head)
+        return Document([*parts, self._table(), *self.study], head)
 
     def _table(self) -> Table:
         """Return a table with a row for each task and condition."""
@@ -107,7 +109,9 @@ class Judgement(Displayed):
             ]  # fmt: skip
             ends = self.by_cell[name]
             first = ends[0].pair if ends else None
-            difference = Cell(points(first.success)) if first and first.success else Cell(UNKNOWN)
+            difference = Cell(UNKNOWN)
+            if first and first.success:
+                difference = Cell(points(first.success), f"{first.first.policy} - {first.second.policy}")
             words = "; ".join(map(_in_words, ends)) or "no pair"
             rows.append([Cell(name), *rates, difference, Cell(words)])
             records.append({"cell": name, "conclusions": [asdict(end) for end in ends]})

@@ -13,6 +13,7 @@ from armctl.judging.columns import FIELDS
 from armctl.judging.frames import rows_of_frame
 from armctl.judging.read import files_of, policy_names, read_file
 from armctl.judging.result import Judgement
+from armctl.judging.studies import study_parts
 from armctl.judging.trials import trials_of
 from armctl.study.comparison import concluded
 from armctl.study.names import COMPARISON
@@ -64,8 +65,13 @@ def judge(
     if len({trial.policy for trial in found.trials}) == 1:
         found.note("There is one policy only: name the files of another one too.")
     cells = comparisons_of(found, given)
-    overall = cells.pop(ALL, None) if len(cells) > 1 else next(iter(cells.values()))
-    return Judgement(cells, overall)
+    if len(cells) == 1:
+        return Judgement({cells[0][0].name: cells[0][1]}, cells[0][1])
+    overall = cells.pop()[1] if cells[-1][0].name == ALL else None
+    same_episodes = len({cell.episodes for cell, _ in cells}) == 1 and cells[0][0].paired
+    by_condition = {(cell.task, cell.condition): comparison for cell, comparison in cells}
+    study = study_parts(by_condition, same_episodes)
+    return Judgement({cell.name: comparison for cell, comparison in cells}, overall, study)
 
 
 def _of_own(folder: Path, terms: Terms) -> Judgement:
@@ -81,4 +87,4 @@ def _of_own(folder: Path, terms: Terms) -> Judgement:
         cells[name] = concluded(comparison.identity, comparison.env_options, facts, comparison.results, comparison.runs)
     if study.kind == COMPARISON:
         return Judgement(cells, next(iter(cells.values())))
-    return Judgement(cells, None, study.result)
+    return Judgement(cells, None, own=study.result)

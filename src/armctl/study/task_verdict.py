@@ -166,10 +166,11 @@ class TaskVerdict:
         by_name = {policy.policy: policy for policy in self.policies}
         contenders = [by_name[name] for name in self.contenders]
         parts = [words for policy in contenders for words in policy.effort]
-        parts.append(f"median decision time: {_times(contenders)}")
+        if not all(math.isnan(policy.decision_ms_p50) for policy in contenders):
+            parts.append(f"median decision time: {_times(contenders)}")
         sees = privileges({policy.policy: policy.privilege for policy in contenders})
         apart = isolation({policy.policy: policy.isolated for policy in self.policies})
-        return " ".join(filter(None, ("; ".join(parts) + ".", sees, apart)))
+        return " ".join(filter(None, ("; ".join(parts) + "." * bool(parts), sees, apart)))
 
     @property
     def context(self) -> str:
