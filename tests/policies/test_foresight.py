@@ -164,7 +164,10 @@ def test_a_policy_that_is_made_of_another_declares_as_much():
 
     with pytest.raises(ConfigurationError, match="target's future is only for"):
         make_policy(outer, make_worlds(MOVING, 2))
-    make_policy(armctl.sees("model", foresight="target")(outer), make_worlds(MOVING, 2))
+    with pytest.raises(ConfigurationError, match="target's future is only for"):
+        make_policy(armctl.sees("state")(outer), make_worlds(MOVING, 2))
+    for sees in ("model", "state"):
+        make_policy(armctl.sees(sees, foresight="target")(outer), make_worlds(MOVING, 2))
 
 
 def test_a_policy_that_says_so_too_late_and_names_that_there_are_not():

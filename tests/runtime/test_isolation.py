@@ -2,6 +2,7 @@
 
 import hashlib
 import sys
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ import pytest
 import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import bare_id
+from armctl.policies import WorldsByInterface
+from armctl.rollout.loop import build_timed
+from armctl.rollout.parallel import Setting, WorkerConfig, _for_sending
 from armctl.study import compare
 from armctl.study.results import read_comparison
 
@@ -250,3 +254,29 @@ def test_decision_times_are_those_of_the_policys_call(home):
     (home / "mine.py").write_text("import time\ndef policy(observation):\n    time.sleep(0.02)\n    return [0.5]\n")
     (policy,) = played(["mine.py:policy"], True, episodes=3).policies
     assert 20 <= policy.decision_ms_p50 < 40
+
+
+def test_sweeps_suites_and_comparisons_that_stop_early_isolate_too(home):
+    options: Any = {"isolate": True, "worlds": 10}
+    words = "Isolated, each in a process of its own that got observations only: "
+    swept = armctl.sweep(["reach_ik", "random"], disturbances={"payload": [0, 2]}, episodes=10, **options,
+                         env_options={"max_episode_steps": 4})  # fmt: skip
+    texts = [part.text for part in swept.document().parts if hasattr(part, "text")]
+    assert f"{words}reach_ik, random." in texts
+    suite = armctl.suite(["BridgeCross-v0"], quick=True, episodes=10, **options)
+    assert f"{words}bridge_distil, and not bridge_ompl." in suite.verdicts[0].context
+    stopped = compare(["reach_ik", "random"], episodes=40, until="decided", **options)
+    assert f"{words}reach_ik, random." in stopped.verdict.context
+    assert len(stopped.results) < 80
+
+
+def test_modules_that_only_its_process_has_imported_are_sent_to_clusters_too(home):
+    (home / "helper.py").write_text("VALUE = 0.5")
+    (home / "mine.py").write_text("from helper import VALUE\ndef policy(observation):\n    return [VALUE]\n")
+    names = {"mine.py:policy": "mine.py:policy"}
+    with closing(WorldsByInterface("guess_task.py:Guess", 1)) as worlds:
+        actor = build_timed("mine.py:policy", worlds.requested, "mine.py:policy", 5, isolate=True)[0]
+        setting = Setting(WorkerConfig("guess_task.py:Guess", 1, {}, 0, 5, 2, isolate=True), names)
+        _, files = _for_sending(setting, {"mine.py:policy": actor}, worlds)
+    assert {"helper.py", "mine.py"} <= {file.name for file in files}
+    assert "helper" not in sys.modules

@@ -14,7 +14,7 @@ from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
 from armctl.policies.policy import Actions, PerWorld, Policy
-from armctl.policies.privilege import as_declared, knowledge_for
+from armctl.policies.privilege import as_declared, granting, knowledge_for
 
 ENV_PARAMETERS = {"env", "envs", "environment", "worlds"}
 """Names of parameters that are given what a policy may know of its environment."""
@@ -28,7 +28,10 @@ def adapted(source: Any, worlds: Worlds, name: str, streams: PolicyStreams) -> P
 
     Raises `ConfigurationError`.
     """
-    policy: Policy = as_declared(_adapted(source, knowledge_for(source, worlds, name, streams), name), name, source)
+    knowledge = knowledge_for(source, worlds, name, streams)
+    with granting(source, worlds):
+        unlabelled = _adapted(source, knowledge, name)
+    policy: Policy = as_declared(unlabelled, name, source)
     return policy
 
 

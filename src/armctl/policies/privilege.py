@@ -1,5 +1,7 @@
 """Privileges as they are granted: a policy gets what it declares to see."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from armctl.core.errors import ConfigurationError, defined_at, unknown_name
@@ -25,7 +27,23 @@ def knowledge_for(
     privilege, foresight = declared(source), declared_foresight(source)
     if isinstance(env, Interface):
         return env.limited_to(privilege, foresight, name)
+    if env.task.granted is not None:  # a policy is being made that sees the state, and makes this one
+        for more in foresight:
+            check_declared(more, "state", env.task.granted)
     return env if privilege == "state" else interface_of(env, privilege, streams, foresight)
+
+
+@contextmanager
+def granting(source: Any, env: EpisodeVectorEnv | Interface) -> Iterator[None]:
+    """Let an environment tell of the future, while a policy is made, what this `source` declares to foresee."""
+    if isinstance(env, Interface):
+        yield
+        return
+    previous, env.task.granted = env.task.granted, declared_foresight(source)
+    try:
+        yield
+    finally:
+        env.task.granted = previous
 
 
 def as_declared(policy: Any, name: str, source: Any) -> Any:

@@ -275,6 +275,8 @@ def _for_sending(
                 policies[name] = relative(str(policy))
                 files += _file_named(str(policy))
     files += _file_named(config.env)
+    for code in filter(None, (getattr(actor, "own_code", None) for actor in actors.values())):
+        files += [Path(file) for file in code.loaded if file.endswith(".py")]  # imported in the policy's process only
     sent = Setting(replace(config, env=relative(config.env), env_options=options), policies)
     identities = {
         name: _identity_elsewhere(sent, name, actor, worlds.of(setting.policies[name]))

@@ -41,7 +41,7 @@ class StateGuard:
     includes.
     """
 
-    def __init__(self, env: Any, has_access: bool | None = None, foresight: tuple[str, ...] = ()) -> None:
+    def __init__(self, env: Any, has_access: bool | None = None, foresight: tuple[str, ...] | None = None) -> None:
         self._worlds: EpisodeVectorEnv = env.unwrapped
         self.has_access, self._foresight = has_access, foresight
         self._slots: list[_Slot] = []
