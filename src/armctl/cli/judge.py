@@ -53,6 +53,9 @@ class JudgeRequest:
     learned: Annotated[
         list[str] | None, typer.Option(metavar="POLICY", help="Policy that was trained; can be repeated.")
     ] = None
+    any_number: Annotated[
+        bool, typer.Option("--any-number", help="Trials are added until it is clear: the verdict holds at any number.")
+    ] = False
     unpaired: Annotated[
         bool, typer.Option("--unpaired", help="Equal seeds or episode numbers are not the same initial conditions.")
     ] = False
@@ -107,7 +110,7 @@ def judge(request: JudgeRequest) -> None:
     }
     terms = {
         name: getattr(request, name)
-        for name in ("baseline", "unpaired", "success_return", "return_bounds", "time_limit", "max_steps")
+        for name in ("baseline", "any_number", "unpaired", "success_return", "return_bounds", "time_limit", "max_steps")
     }
     judgement = judge(
         request.files, columns, learned=tuple(request.learned or ()), margin=request.margin / 100, **terms

@@ -44,6 +44,8 @@ class Terms:
     time_limit: Positive | None = None
     """s; a failure counts as that long."""
     max_steps: Count | None = None
+    any_number: bool = False
+    """True if trials are added until the verdict is clear: it then holds at any number, of pairs."""
     unpaired: bool = False
     """True if equal episode numbers do not mean equal episodes."""
     task: str = RESULTS
@@ -244,14 +246,19 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
     longest = max((trial.steps or 0 for trial in everything), default=0)
     if limit is not None and longest > limit:
         raise ConfigurationError(f"an episode has {longest} steps, more than the largest number, {limit}")
+    if terms.any_number and not cell.paired:
+        raise ConfigurationError(f"{cell.name}: a verdict at any number of trials needs pairs, and there are none")
+    planned = max(map(len, cell.members.values()))
     facts = Facts(
-        env_options={}, policy_seed=0, planned=max(map(len, cell.members.values())),
+        env_options={}, policy_seed=0, planned=planned,
         policies={names[member]: _policy_facts(member[0], found, terms) for member in cell.members},
         return_bounds=_bounds(terms, found, unknown), time_limit=None if "steps" in unknown else limit,
         control_period=None, versions={}, machine={}, notes=notes, failures={},
         baseline=f"{baseline}[*]" if f"{baseline}[*]" in groups else baseline,
         margin=terms.margin, real_time=None, groups=groups, disqualified=[], interrupted=False, resumed=0,
-        paired=cell.paired, sources=found.sources, unknown=unknown,
+        paired=cell.paired,
+        sources=found.sources, unknown=unknown,
+        at_most=planned if terms.any_number or (found.unfinished and cell.paired) else None,
     )  # fmt: skip
     table = _table(cell, names, unknown)
     identity = {"env": cell.name, "seed": 0, "policies": list(names.values())}

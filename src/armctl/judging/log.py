@@ -176,14 +176,12 @@ def entry_of(line: str) -> tuple[bool, float | None, str]:
     return success, time, remark.strip()
 
 
-def notes_on(source: str, plan: Mapping[str, Any], count: int) -> list[str]:
-    """Return a remark on an unfinished log. Raise `ConfigurationError` for one whose policies are letters still."""
-    total = len(plan["policies"]) * plan["episodes"]
+def check_readable(source: str, plan: Mapping[str, Any], count: int) -> bool:
+    """Return True if a log has all its trials. Raise `ConfigurationError` for one whose policies are letters still."""
+    total: int = len(plan["policies"]) * plan["episodes"]
     if plan.get("blind"):
         raise ConfigurationError(
             f"{source} is blinded, and has {count} of {total} trials: finish it first, or end it with "
             f"armctl log {source} --unblind"
         )
-    if count < total:
-        return [f"{count} of {total} planned trials: each look before the last one makes a false verdict likelier."]
-    return []
+    return count >= total

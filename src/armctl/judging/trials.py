@@ -59,6 +59,8 @@ class Trials:
     """Largest number of steps of an episode, if the files say so."""
     return_bounds: Bounds | None = None
     """Possible returns, if the files say so."""
+    unfinished: bool = False
+    """True if more trials are planned, so that a verdict has to hold at any number of them."""
 
     def note(self, text: str, source: str | None = None) -> None:
         """Keep what was assumed."""
@@ -134,6 +136,7 @@ def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> Non
         result.learned |= set(values["policy"])
     if len(result.trials) > MAX_TRIALS:
         raise ConfigurationError(f"{rows.source}: there are more than {MAX_TRIALS:,} episodes")
+    result.unfinished |= rows.unfinished
     result.return_bounds = rows.return_bounds or result.return_bounds
     if rows.time_limit is not None:
         result.time_limit = max(rows.time_limit, result.time_limit or 0)

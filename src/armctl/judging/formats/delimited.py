@@ -42,7 +42,7 @@ def read(path: Path) -> list[Rows]:
         source=source, headings=headings, values=values, places=[number for number, _ in rows], notes=notes,
     )  # fmt: skip
     if log.FORMAT in header:
-        return [replace(table, known=True, notes=[*notes, *log.notes_on(source, header, len(rows))])]
+        return [replace(table, known=True, unfinished=not log.check_readable(source, header, len(rows)))]
     return [sb3.monitor(path, table, header) if "t_start" in header else table]
 
 
