@@ -1,12 +1,15 @@
 import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from armctl.agents import read_card
 from armctl.core.errors import ResultsError
 from armctl.training import trials
+from armctl.training.run import log_trial
 from armctl.training.trials import COLUMNS, TRIALS, add_trial, progress_of, read_trials, results_of, trial_row
 
 RL = Path(__file__).parents[2] / "rl"
@@ -59,6 +62,17 @@ def test_a_damaged_file_is_left_as_it_is_and_the_row_is_told(tmp_path, content):
     (tmp_path / TRIALS).write_bytes(content)
     with pytest.raises(ResultsError, match=r"cannot be recorded in .*trials.csv .*its row is .*reach_ppo"):
         add_trial(tmp_path / TRIALS, row())
+    assert (tmp_path / TRIALS).read_bytes() == content
+
+
+@pytest.mark.parametrize("content", [b"policy,episode,success\na,0,1\n", b"recipe\na,b\n", b"\xff\xfe"])
+def test_a_file_that_is_no_record_is_told_before_the_training(tmp_path, content):
+    """Such as one that `armctl log` has written."""
+    (tmp_path / TRIALS).write_bytes(content)
+    job: Any = SimpleNamespace()
+    refused = pytest.raises(ResultsError, match=r"trials.csv cannot record trainings .*another folder")
+    with refused, log_trial(job, 0, tmp_path / "run"):
+        pytest.fail("it is trained")
     assert (tmp_path / TRIALS).read_bytes() == content
 
 

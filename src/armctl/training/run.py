@@ -22,7 +22,7 @@ from armctl.runtime.sending import relative
 from armctl.runtime.workers import check_same_identity
 from armctl.simulation.threads import one_thread
 from armctl.training.learners import Callback, Recipe, load_learner
-from armctl.training.trials import TRIALS, add_trial, progress_of, read_trials, results_of, trial_row
+from armctl.training.trials import TRIALS, add_trial, check_trials, progress_of, read_trials, results_of, trial_row
 
 SETTINGS = "settings.json"
 """Name of the file of a training's recipe and options: where it is, one has begun."""
@@ -69,6 +69,7 @@ def log_trial(job: TrainingJob, seed: int, folder: Path) -> Iterator[None]:
 
     Raises `ResultsError` if that cannot be written.
     """
+    check_trials(folder.parent / TRIALS)
     try:
         yield
     except KeyboardInterrupt:

@@ -83,6 +83,16 @@ def newest_checkpoint(folder: Path) -> Path | None:
     return max(checkpoints, key=lambda path: int(path.stem), default=None)
 
 
+def check_trials(file: Path) -> None:
+    """Raise `ResultsError` if no row can be added to a file, before hours are spent on one."""
+    try:
+        if file.exists():
+            read_trials(file)
+    except (OSError, ValueError, csv.Error) as error:
+        why = f"cannot record trainings ({error}): rename it, or choose another folder (--out)"
+        raise ResultsError(f"{file} {why}") from error
+
+
 def add_trial(file: Path, row: Mapping[str, Any]) -> None:
     """Append a row; other processes may do so at the same time. Rows and columns that are there are kept.
 
@@ -110,9 +120,15 @@ def write_trials(file: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def read_trials(file: Path) -> list[dict[str, str]]:
-    """All rows, as text. Raises `OSError` or `ValueError`."""
-    rows = list(csv.DictReader(io.StringIO(bounded_text(file)), strict=True))
+    """Return all rows, as text; what another version did not record is empty.
+
+    Raises `OSError` or `ValueError`, also for another file of that name, such as one of `armctl log`.
+    """
+    reader = csv.DictReader(io.StringIO(bounded_text(file)), strict=True)
+    rows = list(reader)
+    if "recipe" not in (reader.fieldnames or ["recipe"]):
+        raise ValueError("it is no record of trainings: it has no column recipe")
     for line, row in enumerate(rows, start=2):
         if None in row or None in row.values():
             raise ValueError(f"line {line} does not have as many values as there are columns")
-    return rows
+    return [dict.fromkeys(COLUMNS, "") | row for row in rows]

@@ -17,7 +17,7 @@ from armctl.core.errors import ConfigurationError, os_errors_as
 from armctl.core.files import inside, write_atomically
 from armctl.core.search_space import with_values
 from armctl.runtime.engines import Cluster, Engine, engine_of
-from armctl.training.trials import TRIALS, add_trial, trial_row
+from armctl.training.trials import TRIALS, add_trial, check_trials, trial_row
 from armctl.tuning.candidates import Candidate
 from armctl.tuning.journal import FAILURE, FOLDER, PROCESS, SCORES, SECONDS, joined
 from armctl.tuning.trials import TrialOutcome, distributions, measure, measure_away
@@ -96,6 +96,7 @@ def tune(
     """
     _check_budget(trials, hours)
     engine, folder, candidate = engine_of(workers), Path(out), dataclasses.replace(candidate, resumes=resume)
+    check_trials(folder / TRIALS)
     with joined(candidate, folder, seed) as (study, process):
         outcome, running = TuningOutcome(candidate, study, folder), dict[int, optuna.Trial]()
 
