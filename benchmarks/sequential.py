@@ -1,6 +1,6 @@
 """Errors, coverage and power of `compare --until decided`, on pairs of episodes like armctl's: mostly wins.
 
-    python benchmarks/sequential.py [--runs 2000] [--table errors|power|looks|real|priors|blocks]
+    python benchmarks/sequential.py [--runs 1000] [--table errors|power|looks|real|priors|blocks]
 
 Each row simulates pairs of episodes whose truth is known. Outcomes of a pair are independent of those of other pairs;
 those of two policies in the same episode are independent too, unless a row states the share of discordant episodes.
@@ -298,7 +298,7 @@ TABLES = {
 }  # fmt: skip
 
 
-def main(runs: int = 2000, table: str = "") -> None:
+def main(runs: int = 1000, table: str = "") -> None:
     """Simulate, and print a table for each question."""
     for name, (simulate, columns) in TABLES.items():
         if table and name != table:
