@@ -107,6 +107,17 @@ def test_a_comparison_with_an_earlier_look_holds_at_any_number_too(tmp_path):
     assert third.facts.planned < 40
 
 
+def test_looks_at_episodes_that_were_overwritten_are_named(tmp_path):
+    alike: Any = {"policies": {"a": "random", "b": "random"}, "env_options": SHORT, "out": tmp_path}
+    compare(**alike, episodes=10)
+    second = compare(**alike, episodes=20, overwrite=True)
+    assert (second.looks, second.differences[0].any_number) == ([10], False)
+    assert second.verdict.result.endswith("p is too small and intervals are too narrow.")
+    third = compare(**alike, episodes=30)
+    assert (third.looks, third.differences[0].any_number) == ([10, 20], True)
+    assert third.verdict.result.endswith("p is too small and intervals are too narrow.")
+
+
 def test_a_look_that_decided_already_ends_it_at_once(tmp_path):
     compare(**PLAYED, episodes=33, out=tmp_path)
     comparison = compare(**UNTIL, out=tmp_path)

@@ -200,7 +200,8 @@ def summarise(
             summary = _of_group(summary, trainings, scored, limits)
         summaries.append(summary)
     affected = {summary.policy: list(trained[summary.policy].values()) for summary in summaries if not summary.spared}
-    any_number = facts.paired and (facts.at_most is not None or bool(earlier_looks(runs)))
+    looks = earlier_looks([run for run in runs if not run.overwritten])  # nothing corrects for those at other episodes
+    any_number = facts.paired and (facts.at_most is not None or bool(looks))
     return summaries, pairs_of(affected, scored, limits, facts.paired, any_number)
 
 
