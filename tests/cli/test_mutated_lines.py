@@ -63,7 +63,10 @@ LINES: dict[str, Any] = {
         [*PLAYED, DISTURBED, [("--success-return", "-1")], [("--return-bounds", "-9", "9")],
          [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], ISOLATED],
     ),
-    "plan": ([("--detect", "10")], [[("--power", "0.9")], [("--pairs", "3")], [("--pilot", "results")], FORMATS]),
+    "plan": (
+        [("--detect", "10")],
+        [[("--power", "0.9")], [("--pairs", "3")], [("--unpaired",)], [("--pilot", "results")], FORMATS],
+    ),
     "report": (
         [("results",), ("--no-video",)],
         [[("--out", "new.html")], [ARM, ODD], [("--policy", "odd.py:still"), ("--policy", "random")]],
