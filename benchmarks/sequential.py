@@ -258,10 +258,14 @@ REAL = (
 """Environment and two policies: one of them clearly better, both equivalent, and about 2 points apart."""
 
 
+AT_MOST = 500
+"""Episodes of a real comparison at most."""
+
+
 def real(runs: int) -> Iterator[tuple[str, ...]]:
     """Yield what `compare --until decided --at-most` says of policies on seed 0, and a fixed design for 2 points."""
     for env, a, b in REAL:
-        comparison = armctl.compare([a, b], env, episodes=runs, until="decided", seed=0, worlds=20)
+        comparison = armctl.compare([a, b], env, episodes=AT_MOST, until="decided", seed=0, worlds=20)
         (pair,) = comparison.differences
         num_episodes = comparison.facts.planned
         share = (pair.only_a + pair.only_b + 1) / (pair.episodes + 2)
