@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import subprocess
+import sys
 
 import gymnasium
 import numpy as np
@@ -127,6 +129,21 @@ def test_stable_baselines3(tmp_path):
     monitors = judge([tmp_path / "a2c_train.monitor.csv", tmp_path / "ppo_train.monitor.csv"])
     assert {policy.policy for policy in monitors.overall.policies} == {"a2c_train", "ppo_train"}
     assert [*monitors.cells] == ["CartPole-v1"]
+
+
+@pytest.mark.slow
+def test_logs_that_rl_zoo_itself_writes(tmp_path):
+    pytest.importorskip("rl_zoo3")
+    for algorithm, seed in (("a2c", 1), ("ppo", 1), ("ppo", 2)):
+        options = ("--eval-freq", "100", "--eval-episodes", "5", "--n-eval-envs", "1", "-f", "logs", "--seed", seed)
+        command = [sys.executable, "-m", "rl_zoo3.train", "--algo", algorithm, "--env", "CartPole-v1", "-n", "300"]
+        subprocess.run([*command, *map(str, options)], cwd=tmp_path, check=True, capture_output=True)
+    comparison = judge(tmp_path / "logs").overall
+    assert (comparison.env, comparison.names) == ("CartPole-v1", ["a2c", "ppo[*]"])
+    written = np.load(tmp_path / "logs" / "a2c" / "CartPole-v1_1" / "evaluations.npz")
+    a2c = comparison.policies[0]
+    assert a2c.episode_return.value == pytest.approx(written["results"][-1].mean())
+    assert (a2c.episodes, a2c.training.steps) == (5, written["timesteps"][-1])
 
 
 def test_rl_zoo_has_trainings_of_one_learner(tmp_path):

@@ -237,8 +237,8 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
         ) if not known
     ]  # fmt: skip
     notes = found.remarks
-    if not (cell.paired or terms.unpaired or any(any(trial.key) for trial in everything)):
-        notes.append("No pairs: no column says which trials had equal initial conditions (--episode-column NAME).")
+    if len(trainings) > 1 and not (cell.paired or terms.unpaired or any(any(trial.key) for trial in everything)):
+        notes.append("No pairs: nothing says which trials had equal initial conditions, as a column episode would.")
     if cell.left_out:
         notes.append(f"{cell.left_out} episodes that not all policies have are left out.")
     baseline = terms.baseline if terms.baseline in trainings else None
