@@ -104,6 +104,22 @@ def test_mistakes_get_one_clear_line(arguments, says, tmp_path):
     assert not list(tmp_path.glob("nowhere"))
 
 
+@pytest.mark.one_case
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["compare", "random"], ["sweep", "random"], ["suite"], ["collect", "random", "--out", "data"],
+        ["train", "ppo", "--env", "armctl/ArmReach-v0", "--seed", "0,1"], ["tune", "reach_mpc", "--trials", "1"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+@pytest.mark.parametrize("workers", ["1001", "9" * 30])
+def test_no_verb_starts_more_processes_than_a_machine_has(arguments, workers, tmp_path):
+    done = armctl(*arguments, "--workers", workers, cwd=tmp_path, check=False)
+    assert done.returncode == 2
+    assert "workers must be at least 1 and at most 1,000" in done.stderr
+
+
 def test_no_message_has_the_number_of_a_systems_error():
     """Whoever catches `OSError` writes its `reason`, or `strerror`, and not the error with its number."""
     raw = []

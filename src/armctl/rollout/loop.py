@@ -36,7 +36,7 @@ from armctl.runtime.state_guard import StateGuard
 if TYPE_CHECKING:
     import pandas as pd
 
-MAX_COUNTS = {"episodes": 10_000_000, "worlds": 100_000, "workers": 1_000}
+MAX_COUNTS = {"episodes": 10_000_000, "worlds": 100_000}
 """Larger numbers are mistakes, or a stranger's: they would fill the memory before anything is played."""
 
 
@@ -311,7 +311,7 @@ def build_timed(
 
 
 def check_counts(**counts: int) -> None:
-    """Raise `ConfigurationError` for a number of episodes, worlds or workers that is too small or too large."""
+    """Raise `ConfigurationError` for a number of episodes or worlds that is too small or too large."""
     for name, count in counts.items():
         if not 1 <= count <= MAX_COUNTS[name]:
             raise ConfigurationError(f"{name} must be at least 1 and at most {MAX_COUNTS[name]:,}, not {count:,}")

@@ -81,12 +81,17 @@ def connect(address: str, workers: int = 1) -> Engine:
     raise unknown_name("engine", address, ["local", "ray", "ray://HOST:PORT", "dask://HOST:PORT"])
 
 
+MAX_WORKERS = 1_000
+
+
 class Local(Engine):
     """Processes of this machine, through joblib (loky)."""
 
     groups_units = True
 
     def __init__(self, workers: int) -> None:
+        if not 1 <= workers <= MAX_WORKERS:
+            raise ConfigurationError(f"workers must be at least 1 and at most {MAX_WORKERS:,}, not {workers:,}")
         self.workers, self.is_local = workers, workers == 1
 
     def run(self, work: Work, shared: Any, units: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:

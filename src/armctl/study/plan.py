@@ -216,7 +216,7 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
 def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
     """Return the arguments of `Plan` that all kinds share. Raise `ConfigurationError`."""
     num_envs, workers = options.get("worlds", 1), options.get("workers", 1)
-    check_counts(episodes=episodes, worlds=num_envs, **({"workers": workers} if isinstance(workers, int) else {}))
+    check_counts(episodes=episodes, worlds=num_envs)
     isolate = options.get("isolate", False)
     return {
         "episodes": episodes, "seed": seed, "num_envs": num_envs, "engine": engine_of(workers), "isolate": isolate

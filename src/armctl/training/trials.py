@@ -15,7 +15,7 @@ from typing import Any
 import filelock
 
 from armctl.agents import AgentCard
-from armctl.core.errors import ArmctlError, ResultsError
+from armctl.core.errors import ArmctlError, ResultsError, reason
 from armctl.core.files import bounded_text, write_atomically
 from armctl.study.curves import CURVE, read_curve
 
@@ -89,7 +89,7 @@ def check_trials(file: Path) -> None:
         if file.exists():
             read_trials(file)
     except (OSError, ValueError, csv.Error) as error:
-        why = f"cannot record trainings ({error}): rename it, or choose another folder (--out)"
+        why = f"cannot record trainings ({reason(error)}): rename it, or choose another folder (--out)"
         raise ResultsError(f"{file} {why}") from error
 
 
