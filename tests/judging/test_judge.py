@@ -70,7 +70,8 @@ def test_equal_episodes_are_pairs_and_surplus_ones_are_left_out(tmp_path):
     assert both.differences[0].success_p == scipy.stats.binomtest(0, 14).pvalue
     surplus = judged(tmp_path, [*lines, "new,40,no", "new,41,no"])
     assert str(surplus.overall.differences) == str(both.differences)
-    assert "2 episodes that not all policies have are left out." in surplus.overall.notes
+    said = "2 of new (0 of them and 36 of the 40 kept are successes)"
+    assert f"Episodes that not all policies have are left out: {said}." in surplus.overall.notes
 
 
 def test_others_are_no_pairs(tmp_path):

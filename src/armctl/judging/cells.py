@@ -16,6 +16,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.options import Count, Positive, options
 from armctl.core.registration import bare_id
 from armctl.episodes.table import TYPES, EpisodeTable, Ragged, column
+from armctl.judging.chosen import left_out_notes, sorted_policies
 from armctl.judging.trials import Trial, Trials
 from armctl.stats.difference import MARGIN
 from armctl.stats.intervals import Bounds
@@ -60,8 +61,10 @@ class TrialCell:
     condition: str = ""
     members: dict[tuple[str, str], list[Trial]] = field(default_factory=dict)
     paired: bool = False
-    left_out: int = 0
-    """Number of trials that not all policies have."""
+    notes: list[str] = field(default_factory=list)
+    """Remarks on its pairs."""
+    doubts: list[str] = field(default_factory=list)
+    """Reasons to doubt its pairs, which stand beside the verdict."""
 
     @property
     def episodes(self) -> tuple[tuple[str, str], ...]:
@@ -84,7 +87,7 @@ def comparisons_of(found: Trials, terms: Terms) -> list[tuple[TrialCell, Compari
         if name not in policies:
             raise unknown_name("policy in these results", name, policies)
     found = _with_terms(found, terms)
-    cells = [_paired(cell, terms) for cell in _cells(found, policies, terms.task)]
+    cells = [_paired(cell, terms, found.unfinished) for cell in _cells(found, policies, terms.task)]
     if len(cells) > 1 and (pooled := _pooled(cells)) is not None:
         cells.append(pooled)
     return [(cell, _concluded(cell, found, policies, terms)) for cell in cells]
@@ -158,16 +161,25 @@ def _cells(found: Trials, policies: Sequence[str], task: str) -> list[TrialCell]
     return sorted(cells.values(), key=lambda cell: natural(cell.name))
 
 
-def _paired(cell: TrialCell, terms: Terms) -> TrialCell:
+def _paired(cell: TrialCell, terms: Terms, unfinished: bool) -> TrialCell:
     """Find out whether the policies of a cell played the same episodes, and put these into the same order."""
     keys = {member: _keys(trials) for member, trials in cell.members.items()}
     has_keys = all(all(any(key) for key in places) for places in keys.values())
     fewest = min(keys.values(), key=len)
     cell.paired = has_keys and not terms.unpaired and all(set(fewest) <= set(places) for places in keys.values())
+    most = max(map(len, keys.values()))
+    if cell.paired and 2 * len(fewest) < most:
+        cell.paired = False
+        cell.doubts.append(
+            f"Not compared in pairs: all policies have only {len(fewest)} episodes, and one has {most}, of which these "
+            "may have been chosen by their outcome. All episodes are compared, as separate samples."
+        )
+    left_out: dict[str, list[Trial]] = {}
     for member, trials in cell.members.items():
         kept = [trial for trial in trials if trial.key in fewest] if cell.paired else trials
-        cell.left_out += len(trials) - len(kept)
+        left_out.setdefault(member[0], []).extend(trial for trial in trials if cell.paired and trial.key not in fewest)
         cell.members[member] = sorted(kept, key=lambda trial: (*map(natural, trial.key), _values(trial)))
+    _add_doubts(cell, left_out, unfinished)
     counts: dict[str, set[int]] = {}
     for (policy, _), trials in cell.members.items():
         counts.setdefault(policy, set()).add(len(trials))
@@ -178,6 +190,25 @@ def _paired(cell: TrialCell, terms: Terms) -> TrialCell:
                 f"{cell.name}: the trainings of {policy} have {listed} episodes: as many are needed of each"
             )
     return cell
+
+
+def _add_doubts(cell: TrialCell, left_out: Mapping[str, Sequence[Trial]], unfinished: bool) -> None:
+    """Add remarks on the trials that are left out, and doubts about the pairs of a cell."""
+    by_policy: dict[str, list[Trial]] = {}
+    for (policy, _), trials in cell.members.items():
+        by_policy.setdefault(policy, []).extend(trials)
+    notes, doubts = left_out_notes(by_policy, left_out)
+    cell.notes += notes
+    cell.doubts += [] if unfinished else doubts
+    members = {
+        f"{policy}[{seed}]" if seed else policy: sorted(trials, key=lambda trial: [*map(natural, trial.key)])
+        for (policy, seed), trials in cell.members.items()
+    }
+    if cell.paired and len(by_policy) > 1 and (in_order := sorted_policies(members)):
+        cell.doubts.append(
+            f"Sorted by success, in the order of the episodes: {', '.join(in_order)}. If the numbers are those of rows "
+            "rather than of initial conditions, these are no pairs: say --unpaired."
+        )
 
 
 def _keys(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
@@ -214,6 +245,8 @@ def _pooled(cells: Sequence[TrialCell]) -> TrialCell | None:
             return None
         for member, trials in cell.members.items():
             pooled.members[member] += trials
+        pooled.notes += [f"{cell.name}: {note}" for note in cell.notes]
+        pooled.doubts += [f"{cell.name}: {doubt}" for doubt in cell.doubts]
     return pooled
 
 
@@ -239,8 +272,7 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
     notes = found.remarks
     if len(trainings) > 1 and not (cell.paired or terms.unpaired or any(any(trial.key) for trial in everything)):
         notes.append("No pairs: nothing says which trials had equal initial conditions, as a column episode would.")
-    if cell.left_out:
-        notes.append(f"{cell.left_out} episodes that not all policies have are left out.")
+    notes += cell.notes
     baseline = terms.baseline if terms.baseline in trainings else None
     limit = terms.max_steps or found.time_limit
     longest = max((trial.steps or 0 for trial in everything), default=0)
@@ -262,7 +294,9 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
     )  # fmt: skip
     table = _table(cell, names, unknown)
     identity = {"env": cell.name, "seed": 0, "policies": list(names.values())}
-    return concluded(identity, {}, facts, table, [])
+    comparison = concluded(identity, {}, facts, table, [])
+    comparison.doubts = cell.doubts
+    return comparison
 
 
 def _bounds(terms: Terms, found: Trials, unknown: Sequence[str]) -> Bounds | None:

@@ -91,7 +91,8 @@ class Judgement(Displayed):
             parts.append(
                 Remark(f"No verdict on all together, as the numbers of episodes differ ({counts}).", "verdict")
             )
-            notes = dict.fromkeys(note for comparison in self.cells.values() for note in comparison.notes)
+            cells = self.cells.values()
+            notes = dict.fromkeys(note for comparison in cells for note in (*comparison.doubts, *comparison.notes))
             parts += [Remark(note, "note") for note in notes]
         return Document([*parts, self._table(), *self.study], head)
 

@@ -54,6 +54,8 @@ class Comparison(Displayed):
     differences: list[Difference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     """Remarks: about the environment, and about what the figures depend on."""
+    doubts: list[str] = field(default_factory=list)
+    """Reasons to doubt the pairs of episodes that were played elsewhere."""
     tracebacks: dict[str, str] = field(default_factory=dict)
     """Tracebacks of the failures, where there are any; of episodes that were played now."""
 
@@ -133,6 +135,7 @@ class Comparison(Displayed):
         verdict = self.verdict
         if verdict:
             parts += [Remark(sentence, "verdict") for sentence in (verdict.result, verdict.cost) if sentence]
+        parts += [Remark(doubt, "note") for doubt in self.doubts]
         if self.policies:
             parts.append(policy_table(self.env, self.seed, self.policies, self.facts.disqualified, self.facts.sources))
         parts += [details(policy) for policy in self.policies]
