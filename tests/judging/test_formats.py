@@ -4,6 +4,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -92,7 +93,7 @@ def test_vla_eval_leaves_out_what_its_harness_lost(tmp_path):
     judgement = judge(files, max_steps=500)
     assert judgement.overall.differences[0].episodes == 39
     assert any("1 episodes of pick that the harness lost" in note for note in judgement.overall.notes)
-    assert any("1 episodes that not all policies have" in note for note in judgement.overall.notes)
+    assert any("are left out: 1 of old (0 of them" in note for note in judgement.overall.notes)
     assert judgement.overall.policies[0].restricted_steps is not None
 
 
@@ -201,3 +202,53 @@ def test_conditions_that_are_levels_make_a_sweep(tmp_path):
     assert mine == theirs
     own = judge(tmp_path / "out").document()
     assert str(own) == str(played.document())
+
+
+@pytest.mark.slow
+def test_episodes_of_another_environment_are_not_compared(tmp_path):
+    armctl.compare(["reach_ik"], episodes=3, out=tmp_path / "a", worlds=3)
+    armctl.compare(["random"], episodes=3, out=tmp_path / "b", worlds=3, env_options={"tolerance": 0.6})
+    with pytest.raises(ConfigurationError, match=r"options of .*ArmReach-v0: tolerance=0.6 and default"):
+        judge([tmp_path / "a", tmp_path / "b"])
+
+
+def own_part(monkeypatch, tmp_path, **changes):
+    """Read a folder of armctl's with other facts."""
+    from armctl.judging.formats import own
+    from armctl.study.results import read_study
+
+    study = read_study(tmp_path / "a")
+    for cell in study.cells.values():
+        cell.facts = replace(cell.facts, **changes)
+    monkeypatch.setattr(own, "read_study", lambda folder: study)
+    return own.read(tmp_path / "b")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"versions": {"armctl-suite": "0.0.1", "mujoco": "3.0"}},
+        {"real_time": {"latency": "measured", "slow_down": 1.0}},
+        {"time_limit": 1000},
+        {"env_options": {"goal": "far"}},
+    ],
+)
+def test_folders_of_armctl_differ_in_what_defines_an_episode(tmp_path, monkeypatch, changes):
+    from armctl.judging.formats import own
+    from armctl.judging.trials import trials_of
+
+    armctl.compare(["reach_ik"], episodes=3, out=tmp_path / "a", worlds=3)
+    parts = own.read(tmp_path / "a")
+    same = own_part(monkeypatch, tmp_path)
+    assert len(trials_of([*parts, *same], {}, {}).trials) == 6
+    with pytest.raises(ConfigurationError, match=r"/b and .*/a differ in the "):
+        trials_of([*parts, *own_part(monkeypatch, tmp_path, **changes)], {}, {})
+
+
+def test_time_limits_of_one_task_are_equal(tmp_path):
+    new, old = (robo_evals(tmp_path / f"{name}.json", name, set(range(n))) for name, n in (("new", 30), ("old", 9)))
+    assert judge([new, old]).overall.facts.time_limit == 300
+    old.write_text(old.read_text().replace('"max_steps": 300', '"max_steps": 500'))
+    with pytest.raises(ConfigurationError, match="differ in the time limit: 500 steps and 300 steps"):
+        judge([new, old])

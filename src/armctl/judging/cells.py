@@ -274,7 +274,8 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
         notes.append("No pairs: nothing says which trials had equal initial conditions, as a column episode would.")
     notes += cell.notes
     baseline = terms.baseline if terms.baseline in trainings else None
-    limit = terms.max_steps or found.time_limit
+    limits = found.time_limits
+    limit = terms.max_steps or limits.get(cell.task) or max(limits.values(), default=None)
     longest = max((trial.steps or 0 for trial in everything), default=0)
     if limit is not None and longest > limit:
         raise ConfigurationError(f"an episode has {longest} steps, more than the largest number, {limit}")

@@ -28,6 +28,8 @@ class Rows:
     """What was assumed."""
     time_limit: int | None = None
     """Largest number of steps of an episode, if the file says so."""
+    setup: Mapping[str, str] = field(default_factory=dict)
+    """What has to be equal in all files of a task and condition, by name, in words."""
     unfinished: bool = False
     """True if the file says that more trials are planned."""
     return_bounds: tuple[float, float] | None = None

@@ -55,8 +55,10 @@ class Trials:
     """What was assumed, with the files that it is about, if it is not about all."""
     training_steps: dict[str, int] = field(default_factory=dict)
     learned: set[str] = field(default_factory=set)
-    time_limit: int | None = None
-    """Largest number of steps of an episode, if the files say so."""
+    time_limits: dict[str, int] = field(default_factory=dict)
+    """Largest number of steps of an episode by task, if the files say so."""
+    setups: dict[tuple[str, str, str], tuple[str, str]] = field(default_factory=dict)
+    """What has to be equal in a task and condition, by its name: its value and the first file."""
     return_bounds: Bounds | None = None
     """Possible returns, if the files say so."""
     unfinished: bool = False
@@ -138,8 +140,24 @@ def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> Non
         raise ConfigurationError(f"{rows.source}: there are more than {MAX_TRIALS:,} episodes")
     result.unfinished |= rows.unfinished
     result.return_bounds = rows.return_bounds or result.return_bounds
+    _check_setup(result, rows)
+
+
+def _check_setup(result: Trials, rows: Rows) -> None:
+    """Raise `ConfigurationError` if episodes of one task and condition were played under others' terms."""
+    task, condition = (str(rows.constants.get(name, "")) for name in ("task", "condition"))
+    setup = dict(rows.setup)
     if rows.time_limit is not None:
-        result.time_limit = max(rows.time_limit, result.time_limit or 0)
+        setup["time limit"] = f"{rows.time_limit} steps"
+        result.time_limits[task] = rows.time_limit
+    for name, value in setup.items():
+        present, source = result.setups.setdefault((task, condition, name), (value, rows.source))
+        if value != present:
+            where = " of " * bool(task) + ", ".join(filter(None, (task, condition)))
+            raise ConfigurationError(
+                f"{rows.source} and {source} differ in the {name}{where}: {value} and {present}; their episodes are no "
+                "episodes of one task"
+            )
 
 
 def _merge_spellings(result: Trials) -> None:
