@@ -324,13 +324,3 @@ def test_conditions_are_a_sweep_only_with_levels_and_an_undisturbed_one(tmp_path
     lines += [f"{name},{condition},{k},{int(k < won - 3 * i)}" for i, condition in enumerate(conditions)
               for name, won in (("a", 18), ("b", 12)) for k in range(20)]  # fmt: skip
     assert bool(judged(tmp_path, lines).study) == swept
-
-
-def test_trials_that_are_added_until_it_is_clear_have_a_test_that_allows_it(tmp_path):
-    fixed = judged(tmp_path, rows_of(WINS)).overall
-    growing = judged(tmp_path, rows_of(WINS), any_number=True).overall
-    assert growing.differences[0].any_number
-    assert growing.differences[0].success_p > fixed.differences[0].success_p
-    assert "hold at any number of episodes" in growing.verdict.result
-    with pytest.raises(ConfigurationError, match="needs pairs, and there are none"):
-        judged(tmp_path, rows_of(WINS), any_number=True, unpaired=True)

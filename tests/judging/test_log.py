@@ -79,6 +79,17 @@ def test_a_blinded_log_can_be_ended_early(typed, tmp_path):
     assert judgement.overall.differences[0].any_number
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_finished_log_remembers_that_it_may_have_been_judged_before(typed, tmp_path, kept):
+    """Also without the comment that says what it is."""
+    typed("a", "b", "--episodes", "12", "--seed", "1", lines=["y", "n"] * 12)
+    lines = (tmp_path / "arm.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "arm.csv").write_text("".join(lines[0 if kept else 1 :]))
+    assert judge(tmp_path / "arm.csv").overall.differences[0].any_number
+    with pytest.raises(ConfigurationError, match="as a log has, needs pairs"):
+        judge(tmp_path / "arm.csv", unpaired=True)
+
+
 def test_the_last_trial_can_be_taken_back_too(typed, tmp_path):
     typed("a", "b", "--episodes", "1", "--seed", "1", lines=["y", "y", "u", "n", ""])
     assert [row[3] for row in TrialLog.read(tmp_path / "arm.csv").rows] == ["yes", "no"]

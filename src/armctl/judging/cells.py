@@ -4,19 +4,15 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import NoneType
-from typing import Annotated, Any
+from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from armctl.agents.costs import TrainingCost
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.options import Count, Positive, options
-from armctl.core.registration import bare_id
-from armctl.episodes.table import TYPES, EpisodeTable, Ragged, column
 from armctl.judging.chosen import left_out_notes, sorted_policies
+from armctl.judging.episodes import table_of
 from armctl.judging.trials import Trial, Trials
 from armctl.stats.difference import MARGIN
 from armctl.stats.intervals import Bounds
@@ -27,8 +23,6 @@ RESULTS = "results"
 """Name of the task where none is named."""
 ALL = "all"
 """Name of all cells together."""
-UNPLAYED: Mapping[type, Any] = {str: "", float: math.nan, int: 0, bool: True}
-"""Values of what nobody measured, by type."""
 
 
 @options
@@ -46,7 +40,8 @@ class Terms:
     """s; a failure counts as that long."""
     max_steps: Count | None = None
     any_number: bool = False
-    """True if trials are added until the verdict is clear: it then holds at any number, of pairs."""
+    """True if trials are added until the verdict is clear: it then holds at any number of pairs, if rows are only added
+    at the end. A log is judged so in any case."""
     unpaired: bool = False
     """True if equal episode numbers do not mean equal episodes."""
     task: str = RESULTS
@@ -86,9 +81,10 @@ def comparisons_of(found: Trials, terms: Terms) -> list[tuple[TrialCell, Compari
     for name in (*terms.learned, *([] if terms.baseline is None else [terms.baseline])):
         if name not in policies:
             raise unknown_name("policy in these results", name, policies)
+    terms = replace(terms, any_number=terms.any_number or found.any_number)
     found = _with_terms(found, terms)
-    cells = [_paired(cell, terms, found.unfinished) for cell in _cells(found, policies, terms.task)]
-    if len(cells) > 1 and (pooled := _pooled(cells)) is not None:
+    cells = [_paired(cell, terms, found.any_number) for cell in _cells(found, policies, terms.task)]
+    if len(cells) > 1 and (pooled := _pooled(cells, terms)) is not None:
         cells.append(pooled)
     return [(cell, _concluded(cell, found, policies, terms)) for cell in cells]
 
@@ -161,7 +157,7 @@ def _cells(found: Trials, policies: Sequence[str], task: str) -> list[TrialCell]
     return sorted(cells.values(), key=lambda cell: natural(cell.name))
 
 
-def _paired(cell: TrialCell, terms: Terms, unfinished: bool) -> TrialCell:
+def _paired(cell: TrialCell, terms: Terms, logged: bool) -> TrialCell:
     """Find out whether the policies of a cell played the same episodes, and put these into the same order."""
     keys = {member: _keys(trials) for member, trials in cell.members.items()}
     has_keys = all(all(any(key) for key in places) for places in keys.values())
@@ -179,7 +175,9 @@ def _paired(cell: TrialCell, terms: Terms, unfinished: bool) -> TrialCell:
         kept = [trial for trial in trials if trial.key in fewest] if cell.paired else trials
         left_out.setdefault(member[0], []).extend(trial for trial in trials if cell.paired and trial.key not in fewest)
         cell.members[member] = sorted(kept, key=lambda trial: (*map(natural, trial.key), _values(trial)))
-    _add_doubts(cell, left_out, unfinished)
+    if terms.any_number and cell.paired:
+        _in_order_of_appearance(cell)
+    _add_doubts(cell, left_out, logged)
     counts: dict[str, set[int]] = {}
     for (policy, _), trials in cell.members.items():
         counts.setdefault(policy, set()).add(len(trials))
@@ -192,14 +190,14 @@ def _paired(cell: TrialCell, terms: Terms, unfinished: bool) -> TrialCell:
     return cell
 
 
-def _add_doubts(cell: TrialCell, left_out: Mapping[str, Sequence[Trial]], unfinished: bool) -> None:
+def _add_doubts(cell: TrialCell, left_out: Mapping[str, Sequence[Trial]], logged: bool) -> None:
     """Add remarks on the trials that are left out, and doubts about the pairs of a cell."""
     by_policy: dict[str, list[Trial]] = {}
     for (policy, _), trials in cell.members.items():
         by_policy.setdefault(policy, []).extend(trials)
     notes, doubts = left_out_notes(by_policy, left_out)
     cell.notes += notes
-    cell.doubts += [] if unfinished else doubts
+    cell.doubts += [] if logged else doubts
     members = {
         f"{policy}[{seed}]" if seed else policy: sorted(trials, key=lambda trial: [*map(natural, trial.key)])
         for (policy, seed), trials in cell.members.items()
@@ -209,6 +207,13 @@ def _add_doubts(cell: TrialCell, left_out: Mapping[str, Sequence[Trial]], unfini
             f"Sorted by success, in the order of the episodes: {', '.join(in_order)}. If the numbers are those of rows "
             "rather than of initial conditions, these are no pairs: say --unpaired."
         )
+
+
+def _in_order_of_appearance(cell: TrialCell) -> None:
+    """Sort pairs by the trial that completed them: a bet may not depend on what came later, as that on a number may."""
+    complete = [max(trial.number for trial in trials) for trials in zip(*cell.members.values(), strict=True)]
+    order = sorted(range(len(complete)), key=complete.__getitem__)
+    cell.members = {member: [trials[i] for i in order] for member, trials in cell.members.items()}
 
 
 def _keys(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
@@ -235,7 +240,7 @@ def _values(trial: Trial) -> tuple[float, ...]:
     return tuple(-math.inf if value is None else float(value) for value in scores)
 
 
-def _pooled(cells: Sequence[TrialCell]) -> TrialCell | None:
+def _pooled(cells: Sequence[TrialCell], terms: Terms) -> TrialCell | None:
     """Return all cells as one; None unless all have the same policies, and each as many episodes of each."""
     pooled = TrialCell(
         ALL, members={member: [] for member in cells[0].members}, paired=all(cell.paired for cell in cells)
@@ -247,6 +252,9 @@ def _pooled(cells: Sequence[TrialCell]) -> TrialCell | None:
             pooled.members[member] += trials
         pooled.notes += [f"{cell.name}: {note}" for note in cell.notes]
         pooled.doubts += [f"{cell.name}: {doubt}" for doubt in cell.doubts]
+
+    if terms.any_number and pooled.paired:
+        _in_order_of_appearance(pooled)
     return pooled
 
 
@@ -280,7 +288,9 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
     if limit is not None and longest > limit:
         raise ConfigurationError(f"an episode has {longest} steps, more than the largest number, {limit}")
     if terms.any_number and not cell.paired:
-        raise ConfigurationError(f"{cell.name}: a verdict at any number of trials needs pairs, and there are none")
+        raise ConfigurationError(
+            f"{cell.name}: a verdict at any number of trials, as a log has, needs pairs, and there are none"
+        )
     planned = max(map(len, cell.members.values()))
     facts = Facts(
         env_options={}, policy_seed=0, planned=planned,
@@ -291,9 +301,9 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
         margin=terms.margin, real_time=None, groups=groups, disqualified=[], interrupted=False, resumed=0,
         paired=cell.paired,
         sources=found.sources, unknown=unknown,
-        at_most=planned if terms.any_number or (found.unfinished and cell.paired) else None,
+        at_most=planned if terms.any_number else None,
     )  # fmt: skip
-    table = _table(cell, names, unknown)
+    table = table_of(cell.name, {names[member]: trials for member, trials in cell.members.items()}, unknown)
     identity = {"env": cell.name, "seed": 0, "policies": list(names.values())}
     comparison = concluded(identity, {}, facts, table, [])
     comparison.doubts = cell.doubts
@@ -313,31 +323,3 @@ def _policy_facts(policy: str, found: Trials, terms: Terms) -> PolicyFacts:
     learned = steps > 0 or policy in found.learned or policy in terms.learned
     kind = "learned" if learned else "classical" if terms.learned else UNDECLARED
     return PolicyFacts(UNDECLARED, TrainingCost(steps), None, (), kind=kind)
-
-
-def _table(cell: TrialCell, names: Mapping[tuple[str, str], str], unknown: Sequence[str]) -> EpisodeTable:
-    """Return the episodes, numbered from 0 on for each policy: equal numbers are equal episodes if they are pairs."""
-    trials = [(names[member], k, trial) for member, trials in cell.members.items() for k, trial in enumerate(trials)]
-    n = len(trials)
-    scored = all(trial.success is not None for _, _, trial in trials)
-    outcomes = {True: "success", False: "failure", None: "finished"}
-    known: dict[str, list[Any]] = {
-        "policy": [name for name, _, _ in trials],
-        "env": [bare_id(cell.name)] * n,
-        "episode": [k for _, k, _ in trials],
-        "outcome": [outcomes[trial.success] for _, _, trial in trials],
-        "success": [trial.success if scored else None for _, _, trial in trials],
-        "total_reward": [math.nan if "return" in unknown else trial.episode_return for _, _, trial in trials],
-        "length": [0 if "steps" in unknown else trial.steps for _, _, trial in trials],
-        "worlds": [1] * n,
-        "workers": [1] * n,
-    }
-    columns: dict[str, NDArray[Any]] = {}
-    for name, kinds in TYPES.items():
-        (kind,) = kinds - {NoneType}
-        columns[name] = column(name, known.get(name, [None if NoneType in kinds else UNPLAYED[kind]] * n))
-    times = [] if "decision_ms" in unknown else [trial.decision_ms for _, _, trial in trials]
-    return EpisodeTable.of_columns(
-        columns, [()], np.zeros(n, np.intp), Ragged.of(np.empty(0), [0] * n),
-        Ragged.of(np.array(times, float), [len(times) // n] * n),
-    )  # fmt: skip

@@ -176,12 +176,11 @@ def entry_of(line: str) -> tuple[bool, float | None, str]:
     return success, time, remark.strip()
 
 
-def check_readable(source: str, plan: Mapping[str, Any], count: int) -> bool:
-    """Return True if a log has all its trials. Raise `ConfigurationError` for one whose policies are letters still."""
-    total: int = len(plan["policies"]) * plan["episodes"]
+def check_readable(source: str, plan: Mapping[str, Any], count: int) -> None:
+    """Raise `ConfigurationError` for a log whose policies are letters still."""
     if plan.get("blind"):
+        total = len(plan["policies"]) * plan["episodes"]
         raise ConfigurationError(
             f"{source} is blinded, and has {count} of {total} trials: finish it first, or end it with "
             f"armctl log {source} --unblind"
         )
-    return count >= total

@@ -30,8 +30,8 @@ class Rows:
     """Largest number of steps of an episode, if the file says so."""
     setup: Mapping[str, str] = field(default_factory=dict)
     """What has to be equal in all files of a task and condition, by name, in words."""
-    unfinished: bool = False
-    """True if the file says that more trials are planned."""
+    any_number: bool = False
+    """True if it is a log, which may be judged after any trial."""
     return_bounds: tuple[float, float] | None = None
     """Possible returns, if the file says so."""
 

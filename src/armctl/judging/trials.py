@@ -33,6 +33,8 @@ class Trial(NamedTuple):
     source: str
     place: str
     """Line of the file, in words."""
+    number: int
+    """Place in the order of appearance in all files."""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -61,8 +63,8 @@ class Trials:
     """What has to be equal in a task and condition, by its name: its value and the first file."""
     return_bounds: Bounds | None = None
     """Possible returns, if the files say so."""
-    unfinished: bool = False
-    """True if more trials are planned, so that a verdict has to hold at any number of them."""
+    any_number: bool = False
+    """True if a file is a log, whose verdict has to hold at any number of trials."""
 
     def note(self, text: str, source: str | None = None) -> None:
         """Keep what was assumed."""
@@ -130,7 +132,8 @@ def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> Non
         result.note(f"{infeasible} episodes that are labelled infeasible are left out.", rows.source)
     for name, success, measured, place, counts in zip(names, successes, measures, rows.places, feasible, strict=True):
         for won in success if counts else ():
-            result.trials.append(Trial._make((*name, won, *measured, rows.source, f"{rows.unit} {place}")))
+            where = rows.source, f"{rows.unit} {place}", len(result.trials)
+            result.trials.append(Trial._make((*name, won, *measured, *where)))
     for policy, steps in zip(values["policy"], values.get("training_steps", none), strict=True):
         if steps:
             result.training_steps[policy] = steps
@@ -138,7 +141,7 @@ def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> Non
         result.learned |= set(values["policy"])
     if len(result.trials) > MAX_TRIALS:
         raise ConfigurationError(f"{rows.source}: there are more than {MAX_TRIALS:,} episodes")
-    result.unfinished |= rows.unfinished
+    result.any_number |= rows.any_number
     result.return_bounds = rows.return_bounds or result.return_bounds
     _check_setup(result, rows)
 

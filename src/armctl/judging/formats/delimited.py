@@ -41,8 +41,9 @@ def read(path: Path) -> list[Rows]:
     table = Rows(
         source=source, headings=headings, values=values, places=[number for number, _ in rows], notes=notes,
     )  # fmt: skip
-    if log.FORMAT in header:
-        return [replace(table, known=True, unfinished=not log.check_readable(source, header, len(rows)))]
+    if log.FORMAT in header or headings == [*log.COLUMNS]:  # also if the comment was deleted
+        log.check_readable(source, header, len(rows))
+        return [replace(table, known=True, any_number=True)]
     return [sb3.monitor(path, table, header) if "t_start" in header else table]
 
 
