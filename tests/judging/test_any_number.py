@@ -32,3 +32,21 @@ def test_bets_are_in_the_order_in_which_pairs_were_complete(tmp_path, keys):
     growing = judged(tmp_path, ["policy,task,seed,success", *(row for row, _ in rows)], any_number=True)
     expected = ConfidenceSequence(won[0].astype(float) - won[1], (-1.0, 1.0)).p()
     assert growing.overall.differences[0].success_p == pytest.approx(expected)
+
+
+def test_several_trainings_have_no_verdict_at_any_number(tmp_path):
+    lines = ["policy,training_seed,episode,success"]
+    lines += [f"{policy},{seed},{k},{k % 2}" for policy in "ab" for seed in range(1 + (policy == "b"))
+              for k in range(12)]  # fmt: skip
+    with pytest.raises(ConfigurationError, match=r"is for one training of each policy, and there are several of b$"):
+        judged(tmp_path, lines, any_number=True)
+
+
+@pytest.mark.parametrize(("column", "names"), [("condition", ("none", "payload-1")), ("task", ("pick", "place"))])
+def test_sweeps_and_suites_are_left_out_as_their_tests_are_for_fixed_numbers(tmp_path, column, names):
+    lines = [f"policy,{column},episode,success"]
+    lines += [f"{policy},{name},{k},{int(k < won - 6 * i)}" for i, name in enumerate(names)
+              for policy, won in (("a", 18), ("b", 12)) for k in range(20)]  # fmt: skip
+    assert len(judged(tmp_path, lines, learned=("a",)).study) > 1
+    (remark,) = judged(tmp_path, lines, learned=("a",), any_number=True).study
+    assert "left out: its tests hold for a fixed number of episodes only" in remark.text

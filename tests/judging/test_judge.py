@@ -10,7 +10,8 @@ import pytest
 import scipy.stats
 
 import armctl as package
-from armctl.core.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.episodes.stored import STORE
 from armctl.judging import judge
 
 from ..command_line import armctl
@@ -220,6 +221,19 @@ def test_wrong_words_are_told(tmp_path):
         judged(tmp_path, rows_of(WINS), columns={"polcy": "policy"})
     with pytest.raises(ConfigurationError, match="no option 'basline'"):
         package.judge(tmp_path, basline="new")
+
+
+def test_terms_that_a_folder_of_armctl_has_no_use_for_are_refused(tmp_path):
+    (tmp_path / STORE).write_bytes(b"")
+    useless = {"learned": ["a"], "success_return": 1.0, "return_bounds": (0.0, 1.0), "time_limit": 3.0,
+               "max_steps": 5, "any_number": True, "unpaired": True, "task": "x"}  # fmt: skip
+    for name, value in useless.items():
+        with pytest.raises(ConfigurationError, match=f"has armctl's own results, .* no --{name.replace('_', '-')}$"):
+            judge(tmp_path, **{name: value})
+    with pytest.raises(ConfigurationError, match=r"no --max-steps, no --any-number$"):
+        judge(tmp_path, max_steps=5, any_number=True)
+    with pytest.raises(ResultsError):  # by whoever reads it
+        judge(tmp_path, margin=0.1, learned=())
 
 
 @pytest.mark.parametrize(

@@ -118,6 +118,7 @@ def judge(request: JudgeRequest) -> None:
     if request.badge:
         from armctl.report.judgement import badge
 
+        judgement.check_compared()
         print(badge(judgement))
     else:
         console = print_document(judgement.document(), request.table_format)
@@ -127,7 +128,7 @@ def judge(request: JudgeRequest) -> None:
         report = write_judgement(judgement, request.out, request.overwrite)
         if not request.badge:
             console.print(f"{report} is the report.", soft_wrap=True)
-    if judgement.fails(fail_if):
+    if fail_if and judgement.fails(fail_if):
         raise typer.Exit(1)
 
 

@@ -291,6 +291,11 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
         raise ConfigurationError(
             f"{cell.name}: a verdict at any number of trials, as a log has, needs pairs, and there are none"
         )
+    if terms.any_number and groups:
+        raise ConfigurationError(
+            f"{cell.name}: a verdict at any number of trials, as a log has, is for one training of each policy, and "
+            f"there are several of {' and '.join(policy for policy, seeds in trainings.items() if len(seeds) > 1)}"
+        )
     planned = max(map(len, cell.members.values()))
     facts = Facts(
         env_options={}, policy_seed=0, planned=planned,

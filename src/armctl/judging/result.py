@@ -2,11 +2,14 @@
 
 import functools
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+from armctl.core.errors import ConfigurationError
 from armctl.stats.correction import holm
 from armctl.stats.difference import SIGNIFICANT, significant
+from armctl.stats.intervals import FEWEST
+from armctl.stats.robustness import GROUP
 from armctl.study.comparison import Comparison
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.sentences import Pair, verdict_pairs
@@ -68,9 +71,34 @@ class Judgement(Displayed):
         adjusted = iter(holm(firsts) if len(self.cells) > 1 and flat else firsts)
         return {name: [_weakened(conclusion, next(adjusted)) for conclusion in cell] for name, cell in found.items()}
 
+    @functools.cached_property
+    def not_compared(self) -> list[str]:
+        """Tasks and conditions without a pair, or in which a policy has none with the baseline, and who played there.
+
+        Policies that a disturbance does not affect need no pair.
+        """
+        everyone = {name.removesuffix(GROUP) for comparison in self.cells.values() for name in comparison.names}
+        return [
+            f"{cell} has {', '.join(_names(comparison)) or 'no policy'} only"
+            for cell, comparison in self.cells.items()
+            if (comparison.facts.baseline is not None and len(_names(comparison)) < len(everyone))
+            or not (self.by_cell[cell] or any(policy.spared for policy in comparison.policies))
+        ]
+
+    def check_compared(self) -> None:
+        """Raise `ConfigurationError` if no two policies were compared anywhere."""
+        if not self.conclusions:
+            raise ConfigurationError(f"nothing was compared: {'; '.join(self.not_compared) or 'there is no pair'}")
+
     def fails(self, outcomes: Collection[str]) -> bool:
-        """Return True if any conclusion is one of these outcomes; `worse` also in a single task or condition."""
+        """Return True if any conclusion is one of these outcomes; `worse` also in a single task or condition.
+
+        A pair that is missing is undecided. Raises `ConfigurationError` if all are.
+        """
+        self.check_compared()
         if any(conclusion.outcome in outcomes for conclusion in self.conclusions):
+            return True
+        if "undecided" in outcomes and self.not_compared:
             return True
         each = [conclusion.outcome for cell in self.by_cell.values() for conclusion in cell]
         return "worse" in outcomes and "worse" in each
@@ -133,11 +161,19 @@ class Judgement(Displayed):
 
 def _conclusions(comparison: Comparison, times: int = 1) -> list[Conclusion]:
     """Return what is concluded in a comparison, for so many times the number of pairs."""
-    facts = comparison.facts
-    if len(comparison.policies) < 2:
+    facts, names = comparison.facts, [policy.policy for policy in comparison.policies]
+    if len(names) < 2 or facts.baseline not in (None, *names):
         return []
     pairs = verdict_pairs(comparison.policies, comparison.differences, facts.baseline)
-    return [_conclusion(pair, facts.baseline, facts.margin, times) for pair in pairs]
+    conclusions = [_conclusion(pair, facts.baseline, facts.margin, times) for pair in pairs]
+    if min((pair.episodes for pair in comparison.differences), default=0) < FEWEST:
+        conclusions = [replace(conclusion, outcome="undecided") for conclusion in conclusions]
+    return conclusions
+
+
+def _names(comparison: Comparison) -> list[str]:
+    """Return the policies that have episodes; trainings that count as one have their policy's name."""
+    return [policy.policy.removesuffix(GROUP) for policy in comparison.policies]
 
 
 def _conclusion(pair: Pair, baseline: str | None, margin: float, times: int) -> Conclusion:
@@ -168,7 +204,7 @@ def _p(pair: Pair) -> float:
 def _weakened(conclusion: Conclusion, p: float) -> Conclusion:
     """Return a conclusion that is undecided unless its corrected p-value is small."""
     if conclusion.outcome in ("better", "worse") and p >= SIGNIFICANT:
-        return Conclusion(conclusion.policy, conclusion.against, "undecided", conclusion.pair)
+        return replace(conclusion, outcome="undecided")
     return conclusion
 
 

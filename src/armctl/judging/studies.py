@@ -17,6 +17,10 @@ NOMINAL = {"", "none", "nominal", "undisturbed", "baseline", "clean", "default",
 LEVEL = re.compile(r"(?P<disturbance>.*\S)\s*[-= ]\s*(?P<level>[+]?\d+(\.\d+)?)\s*\S{0,4}")
 """Form of a condition that is a level, such as `payload-2.0`, `payload = 2` or `delay 40 ms`."""
 
+FIXED_ONLY = (
+    "What these cells say as a sweep or a suite is left out: its tests hold for a fixed number of episodes only."
+)
+
 Cells = Mapping[tuple[str, str], Comparison]
 """Comparisons by task and condition."""
 
@@ -24,9 +28,12 @@ Cells = Mapping[tuple[str, str], Comparison]
 def study_parts(cells: Cells, same_episodes: bool) -> list[Table | Remark]:
     """Return the tables and sentences of a sweep or a suite, if the cells are one; else nothing.
 
-    A sweep compares each policy with itself undisturbed: on the `same_episodes` in all cells, or unpaired ones.
+    A sweep compares each policy with itself undisturbed: on the `same_episodes` in all cells, or unpaired ones. Its
+    tests, and those of a suite, are for a fixed number of episodes, so that a remark stands in their place otherwise.
     """
     first = next(iter(cells.values()))
+    if any(pair.any_number for comparison in cells.values() for pair in comparison.differences):
+        return [Remark(FIXED_ONLY, "note")] if _sweep(cells) or _suite(cells) else []
     if (sweep := _sweep(cells)) is not None and (same_episodes or not first.facts.paired):
         return [part for part in sweep.document().parts if isinstance(part, Table) or part.kind != "note"]
     if (study := _suite(cells)) is None:

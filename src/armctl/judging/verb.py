@@ -1,7 +1,7 @@
 """Judges results made anywhere: `judge` reads episodes, and returns the verdict on them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +78,13 @@ def _of_own(folder: Path, terms: Terms) -> Judgement:
     """Return the judgement of a folder that armctl played, with all that is known of it."""
     from armctl.study.results import read_study
 
+    useless = [
+        f"--{field.name.replace('_', '-')}"
+        for field in fields(Terms)
+        if field.name not in ("baseline", "margin") and getattr(terms, field.name) != field.default
+    ]
+    if useless:
+        raise ConfigurationError(f"{folder} has armctl's own results, for which there is no {', no '.join(useless)}")
     study = read_study(folder)
     cells = {}
     for name, comparison in study.cells.items():

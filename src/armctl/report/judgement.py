@@ -22,8 +22,9 @@ MARKS: Mapping[Outcome, str] = {"better": "🟢", "worse": "🔴", "equivalent":
 
 
 def badge(judgement: Judgement) -> str:
-    """Return a line of Markdown for each pair of the verdict."""
+    """Return a line of Markdown for each pair of the verdict, and each task or condition where one is missing."""
     lines = [f"{MARKS[end.outcome]} **{markdown_text(str(end))}**" for end in judgement.conclusions]
+    lines += [f"{MARKS['undecided']} **{markdown_text(text)}**" for text in judgement.not_compared]
     return printable("\n".join(lines) or "⚪ **no verdict**")
 
 
