@@ -92,8 +92,8 @@ LINES: dict[str, Any] = {
     "judge": (
         [("trials.csv",), ("--policy-column", "who"), ("--success-column", "did")],
         [OUT, FORMATS, [("--baseline", "old"), ("--baseline", "new", "--fail-if", "worse")], [("--margin", "10")],
-         [("--learned", "new")], [("--unpaired",), ("--any-number",)], [("--success-return", "3")],
-         [("--time-limit", "30")],
+         [("--learned", "new")], [("--unpaired",), ("--any-number", "--policies-in-columns")],
+         [("--success-return", "3")], [("--time-limit", "30")],
          [("--badge",)], [("--return-bounds", "0", "30")], [("--max-steps", "30")], [("--return-column", "got")],
          [("--time-column", "s")], [("--steps-column", "k")], [("--episode-column", "n")],
          [("--seed-column", "layout")], [("--task-column", "env")], [("--condition-column", "light")],

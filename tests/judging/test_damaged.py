@@ -53,7 +53,8 @@ READ: dict[str, tuple] = {
     "words": (GOOD.replace("yes", "Success").replace("no", "failure"), ""),
     "ticks": (GOOD.replace("yes", "✓").replace("no", "✗"), ""),
     "German": (GOOD.replace("yes", "ja").replace("no", "nein"), ""),
-    "a column for each policy": ("trial,old,new\n1,yes,yes\n2,no,yes\n", "a column for each"),
+    "counts as a spreadsheet writes numbers": ("policy;successes;trials\nold;1.0;2.0\nnew;2;2\n", "stand for"),
+    "episodes as numbers of two kinds": (GOOD.replace("new,1", "new,01").replace("new,2", "new,2.0"), ""),
     "columns of counts": ("policy,successes,trials\nold,1,2\nnew,2,2\n", "stand for as many episodes"),
     "start poses": (GOOD.replace("episode", "Start pose"), "seed from 'Start pose'"),
     "counts": ("policy,success\nold,1/2\nnew,2 of 2\n", "stand for as many episodes"),
@@ -127,6 +128,28 @@ REFUSED: dict[str, tuple] = {
     "a huge return": ("policy,return\nold,3\nold,1e300\n", r"line 3: return: 1e\+300 is no number to compare"),
     "a time on a clock": ("policy,time\nold,0:35\n", "line 2: time: '0:35' is not a number"),
     "a negative time": ("policy,time\nold,-3\n", "line 2: time: -3 is less than 0"),
+    "a date as time": ("policy,success,time\nold,y,1700000000.5\n", "line 2: time: 1.7e.09 s is more than a day"),
+    "columns that may be of policies or of measures": (
+        "trial,grasped,dropped\n1,yes,no\n2,yes,yes\n",
+        "no column of success.* or --policies-in-columns if each policy has a column",
+    ),
+    "counts that are thousands or not": (
+        "policy;successes;trials\nold;20;1.050\nnew;21;1.050\n",
+        "line 2: '1.050' is no number of episodes",
+    ),
+    "counts that are none": ("policy,successes,trials\nold,1.5,3\n", "line 2: '1.5' is no number of episodes"),
+    "an unclear point": (
+        "policy;success;steps\nold;y;900\nold;y;1.100\n",
+        "line 3: steps: 1.100 may be 1.100 or 1100: write it without a point",
+    ),
+    "an unclear point after a tab": ("policy\treturn\nold\t2.345\n", "2.345 may be 2.345 or 2345"),
+    "a row of totals among episodes": (GOOD + "new,Total,yes\n", "line 6: 'Total' as episode sums up other rows"),
+    "a policy that is a row of totals": (GOOD + "Mean,1,yes\n", "line 6: 'Mean' as policy sums up other rows"),
+    "a task of totals": (
+        "policy,task,success\nold,a,3/4\nold,total:,3/4\n",
+        "line 3: 'total:' as task sums up other rows",
+    ),
+    "one episode in two ways": (GOOD + "new,02,yes\n", "line 6: episode 2 of new is there before"),
     "half a step": ("policy,success,steps\nold,y,3.5\n", "line 2: steps: 3.5 is not a whole number"),
     "an unclear comma": (
         'policy,return\nold,"1,234"\n',
@@ -238,12 +261,45 @@ def test_the_files_have_to_share_a_score(tmp_path):
         (["1,234,567", "8"], [1234567.0, 8.0]),
         (["0,125", "1,234"], [0.125, 1.234]),
         (["\u22123", "+4"], [-3.0, 4.0]),
+        (["1.234", "0.500"], [1.234, 0.5]),
+        (["1.234", "1100"], [1.234, 1100.0]),
+        (["1.234", "12.5"], [1.234, 12.5]),
     ],
 )
 def test_numbers_as_people_type_them(tmp_path, cells, values):
     (tmp_path / "trials.csv").write_text("\n".join(["policy;return", *(f"a;{cell}" for cell in cells)]))
     table = judge(tmp_path / "trials.csv").overall.results
     assert sorted(table.column("total_reward").tolist()) == sorted(values)
+
+
+def test_three_digits_after_the_point_are_clear_where_a_comma_divides_cells(tmp_path):
+    (tmp_path / "trials.csv").write_text("policy,return\na,1.234\na,900\n")
+    table = judge(tmp_path / "trials.csv").overall.results
+    assert sorted(table.column("total_reward").tolist()) == [1.234, 900.0]
+
+
+def test_a_policy_may_be_a_mean(tmp_path):
+    (tmp_path / "trials.csv").write_text(GOOD.replace("old", "mean"))
+    assert {policy.policy for policy in judge(tmp_path / "trials.csv").overall.policies} == {"mean", "new"}
+
+
+def test_columns_are_policies_if_that_is_said(tmp_path):
+    (tmp_path / "trials.csv").write_text("trial,old,new\n1,yes,yes\n2,no,yes\n")
+    comparison = judge(tmp_path / "trials.csv", policies_in_columns=True).overall
+    assert {policy.policy: policy.outcomes.get("success") for policy in comparison.policies} == WON
+    assert comparison.facts.paired
+    assert any("a column for each policy: old, new" in note for note in comparison.notes)
+    assert "old, new" in armctl("judge", "trials.csv", "--policies-in-columns", cwd=tmp_path).stdout
+
+
+@pytest.mark.parametrize("name", ["id", "index", "no", "nr", "", "Unnamed: 0"])
+def test_numbers_of_rows_are_no_pairs(tmp_path, name):
+    files = [tmp_path / "old.csv", tmp_path / "new.csv"]
+    for file, wins in zip(files, (10, 20), strict=True):
+        file.write_text("\n".join([f"{name},success", *(f"{i},{int(i < wins)}" for i in range(30))]))
+    assert not judge(files).overall.facts.paired
+    if name:
+        assert judge(files, {"episode": name}).overall.facts.paired
 
 
 def test_json_may_have_any_python_values(tmp_path):

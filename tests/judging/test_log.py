@@ -151,6 +151,10 @@ def test_a_log_needs_policies_that_differ(tmp_path, names):
         (" N ", (False, None, "")),
         ("yes 12.5", (True, 12.5, "")),
         ("no 12,5s too slow", (False, 12.5, "too slow")),
+        ("y 12.5 slow", (True, 12.5, "slow")),
+        ("y 80 sec, slow", (True, 80.0, "slow")),
+        ("n 80 s", (False, 80.0, "")),
+        ("n - 3 collisions", (False, None, "- 3 collisions")),
         ("1 it fell at 3", (True, None, "it fell at 3")),
         ("y - no time", (True, None, "- no time")),
     ],
@@ -159,7 +163,9 @@ def test_a_trial_is_a_line(line, entry):
     assert entry_of(line) == entry
 
 
-@pytest.mark.parametrize("line", ["", "maybe", "0.5", "12", "y -3"])
+@pytest.mark.parametrize("line", ["", "maybe", "0.5", "12", "y -3", "y 2 min", "y 2min", "y 1 min 20",
+                                  "y 1:20", "n 3 collisions", "y 40 steps", "y 500ms", "y 1e5", "n 80 %", "y 1,2,3",
+                                  "y 2 Minutes"])  # fmt: skip
 def test_a_line_that_is_none_is_asked_again(line):
     with pytest.raises(ConfigurationError):
         entry_of(line)

@@ -59,6 +59,9 @@ class JudgeRequest:
     unpaired: Annotated[
         bool, typer.Option("--unpaired", help="Equal seeds or episode numbers are not the same initial conditions.")
     ] = False
+    policies_in_columns: Annotated[
+        bool, typer.Option("--policies-in-columns", help="Each policy has a column of successes, under its name.")
+    ] = False
     success_return: Annotated[
         float | None, typer.Option(metavar="RETURN", help="Return from which on an episode counts as a success.")
     ] = None
@@ -110,7 +113,16 @@ def judge(request: JudgeRequest) -> None:
     }
     terms = {
         name: getattr(request, name)
-        for name in ("baseline", "any_number", "unpaired", "success_return", "return_bounds", "time_limit", "max_steps")
+        for name in (
+            "baseline",
+            "any_number",
+            "unpaired",
+            "policies_in_columns",
+            "success_return",
+            "return_bounds",
+            "time_limit",
+            "max_steps",
+        )
     }
     judgement = judge(
         request.files, columns, learned=tuple(request.learned or ()), margin=request.margin / 100, **terms
@@ -212,6 +224,10 @@ def _ask(trial_log: "TrialLog") -> None:
             print(f"taken back: {', '.join(filter(None, removed))}" if removed else "there is nothing to take back")
         elif not trial_log.is_complete:
             try:
-                trial_log.add(*entry_of(line))
+                success, seconds, remark = entry_of(line)
             except ConfigurationError as error:
                 print(f"{error}: y or n?")
+                continue
+            trial_log.add(success, seconds, remark)
+            time = None if seconds is None else f"{seconds:g} s"
+            print("logged:", ", ".join(filter(None, ("success" if success else "failure", time, remark))))

@@ -44,6 +44,8 @@ class Terms:
     at the end. A log is judged so in any case."""
     unpaired: bool = False
     """True if equal episode numbers do not mean equal episodes."""
+    policies_in_columns: bool = False
+    """True if each policy has a column of successes in files without a column of success, return or time."""
     task: str = RESULTS
 
 

@@ -16,8 +16,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
              "init", "start", "start_pose", "start_position", "initial_pose", "layout",
              "configuration"),
     "episode": ("episode", "episode_id", "episode_ix", "episode_index", "episode_idx", "episode_num", "trial",
-                "trial_id", "trial_no", "trial_number", "rollout", "rollout_id", "rollout_idx", "attempt", "ep",
-                "index", "id", "no", "nr"),
+                "trial_id", "trial_no", "trial_number", "rollout", "rollout_id", "rollout_idx", "attempt", "ep"),
     "success": ("success", "is_success", "succeeded", "successful", "solved", "ok", "passed", "task_success", "won",
                 "result", "outcome"),
     "return": ("return", "episode_return", "total_reward", "sum_reward", "episode_reward", "cumulative_reward",
@@ -76,7 +75,8 @@ def require(rows: Rows, columns: Mapping[str, int]) -> None:
             )
         raise ConfigurationError(
             f"{rows.source} has no column of success, return or time, under any usual name: say which it is, as in "
-            f"--success-column NAME. Its columns are {listed}"
+            "--success-column NAME, or --policies-in-columns if each policy has a column of successes. Its columns are "
+            f"{listed}"
         )
 
 

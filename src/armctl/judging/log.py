@@ -10,6 +10,7 @@ import csv
 import io
 import json
 import os
+import re
 import string
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,12 +21,23 @@ import numpy as np
 
 from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as, reason
 from armctl.core.files import bounded_text, write_atomically
-from armctl.judging.values import is_empty, numbers, truth
+from armctl.judging.values import numbers, truth
 
 FORMAT = "armctl_log"
 """Key of the format number in the comment that a log begins with."""
 VERSION = 1
 COLUMNS = ("trial", "episode", "policy", "success", "time", "remark")
+SECONDS = ("s", "sec", "secs", "second", "seconds")
+OTHER_UNITS = (
+    *("m", "min", "mins", "minute", "minutes", "h", "hr", "hour", "hours", "ms", "msec", "millisecond", "milliseconds"),
+    *("%", "mm", "cm", "x", "step", "steps", "try", "tries", "trial", "trials", "time", "times", "attempt", "attempts"),
+    *("retry", "retries", "collision", "collisions", "contact", "contacts", "drop", "drops", "object", "objects"),
+)
+"""Words after a number that is no time in seconds."""
+QUANTITY = re.compile(r"([+\-\u2212]?[\d.,]*\d[\d.,]*)([^\W\d_]*|%)")
+WORD = re.compile(r"[^\W\d_]+|%")
+MAX_TIME = 86_400
+"""s, the longest time of a trial."""
 YES_NO = {True: "yes", False: "no"}
 
 
@@ -168,12 +180,20 @@ def entry_of(line: str) -> tuple[bool, float | None, str]:
     except ValueError:
         raise ConfigurationError(f"{word!r:.40} is neither y nor n") from None
     first, _, remark = rest.strip().partition(" ")
-    (time,) = [None] if is_empty(first) else numbers([first.removesuffix("s")], "," if "," in first else ".")
-    if time is None or isinstance(time, str):
+    number, unit, after = "", "", remark
+    if match := QUANTITY.fullmatch(first):
+        number, unit = match.groups()
+        if not unit and (match := WORD.match(remark)) and match[0].casefold() in (*SECONDS, *OTHER_UNITS):
+            unit, after = match[0], remark[match.end() :].strip(" ,.;:")
+    (time,) = numbers([number], "," if "," in number else ".")
+    if not number and not first[:1].isdecimal():
         return success, None, rest.strip()
-    if not 0 <= time < 1e6:
-        raise ConfigurationError(f"a time is a number of seconds, not {first}")
-    return success, time, remark.strip()
+    if not isinstance(time, float) or not 0 <= time <= MAX_TIME or unit.casefold() not in ("", *SECONDS):
+        raise ConfigurationError(
+            f"{first} {unit if unit not in first else ''}".strip() + " is no time in seconds, as y 80 or n 80 s would "
+            "have; before a remark that begins with a number write -, as in n - 3 collisions"
+        )
+    return success, time, after.strip()
 
 
 def check_readable(source: str, plan: Mapping[str, Any], count: int) -> None:

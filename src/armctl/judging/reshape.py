@@ -1,5 +1,6 @@
 """Tables that people lay out otherwise: a column for each policy, or counts of successes and of trials."""
 
+import re
 from dataclasses import replace
 
 from armctl.judging.columns import plain
@@ -9,6 +10,8 @@ from armctl.judging.values import is_empty, truth
 SUCCESSES = ("successes", "num_successes", "n_success", "n_successes", "success_count", "wins")
 TRIALS = ("trials", "episodes", "num_trials", "num_episodes", "n_trials", "n_episodes", "n", "total", "attempts")
 
+WHOLE = re.compile(r"(\d+)(\.0)?", re.ASCII)
+
 
 def with_counts(rows: Rows) -> Rows:
     """Return rows whose two columns of successes and of trials are one, such as `17/20`; others as they are."""
@@ -17,8 +20,15 @@ def with_counts(rows: Rows) -> Rows:
     won, trials = places
     if won is None or trials is None:
         return rows
-    values = [[*row, f"{row[won]}/{row[trials]}".replace(".0", "")] for row in rows.values]
+    values = [
+        [*row, f"{_count(rows, i, row[won])}/{_count(rows, i, row[trials])}"] for i, row in enumerate(rows.values)
+    ]
     return replace(rows, headings=[*rows.headings, "success"], values=values)
+
+
+def _count(rows: Rows, i: int, cell: object) -> int:
+    match = WHOLE.fullmatch(str(cell).strip())
+    return int(match[1]) if match else rows.refuse(i, f"{str(cell)!r:.60} is no number of episodes")
 
 
 def one_column_per_policy(rows: Rows, used: set[int]) -> Rows:

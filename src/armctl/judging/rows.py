@@ -24,6 +24,8 @@ class Rows:
     """Fields that are the same in all rows, by their name in `armctl.judging.columns.FIELDS`."""
     known: bool = False
     """True if the format is known, so that headings are names of fields, and others are of no interest."""
+    delimiter: str = ","
+    """What divides the cells of a text file; where it is no comma, a comma may be a decimal sign."""
     notes: Sequence[str] = ()
     """What was assumed."""
     time_limit: int | None = None

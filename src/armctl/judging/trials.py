@@ -79,13 +79,18 @@ class Trials:
         ]
 
 
-def trials_of(parts: Sequence[Rows], chosen: Mapping[str, str], default_policies: Mapping[str, str]) -> Trials:
+def trials_of(
+    parts: Sequence[Rows],
+    chosen: Mapping[str, str],
+    default_policies: Mapping[str, str],
+    policies_in_columns: bool = False,
+) -> Trials:
     """Return the trials of all rows. `default_policies` are names by file, for files that name no policy.
 
     Raises `ConfigurationError` with file, line and reason for everything that is not clear.
     """
     result = Trials()
-    parts = [rows if rows.known else _laid_out(rows, chosen) for rows in parts]
+    parts = [rows if rows.known else _laid_out(rows, chosen, policies_in_columns) for rows in parts]
     columns = [columns_of(rows, chosen) for rows in parts]
     for rows, places in zip(parts, columns, strict=True):
         require(rows, places)
@@ -109,12 +114,12 @@ def trials_of(parts: Sequence[Rows], chosen: Mapping[str, str], default_policies
     return result
 
 
-def _laid_out(rows: Rows, chosen: Mapping[str, str]) -> Rows:
+def _laid_out(rows: Rows, chosen: Mapping[str, str], policies_in_columns: bool) -> Rows:
     """Return rows with columns of policy and success, if they can be told from another layout."""
     columns = columns_of(rows, chosen)
     if set(SCORES).isdisjoint(columns):
         rows = with_counts(rows)
-        if "policy" not in columns and rows.values:
+        if policies_in_columns and "policy" not in columns and rows.values:
             return one_column_per_policy(rows, set(columns.values()))
     return rows
 

@@ -1,6 +1,8 @@
 """Columns of rows as values of their types: names, success, numbers. Whatever is not clear is refused."""
 
 import contextlib
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,7 +13,14 @@ from armctl.judging.rows import Rows
 from armctl.judging.values import counts, decimal_signs, is_empty, numbers, truth
 
 NUMBERS = ("return", "time", "steps", "decision_ms", "training_steps")
-NAMES = ("policy", "task", "condition", "training_seed", "seed", "episode")
+KEYS = ("training_seed", "seed", "episode")
+NAMES = ("policy", "task", "condition", *KEYS)
+DAY = 86_400
+"""s, the longest time of an episode."""
+SUMMARIES = {"total", "totals", "subtotal", "sum", "mean", "average", "avg", "median", "std", "summary", "overall",
+             "gesamt", "summe", "mittelwert", "durchschnitt", "moyenne", "total general", "grand total"}  # fmt: skip
+"""Names of rows that sum up others."""
+NUMERAL = re.compile(r"[+-]?\d+(\.\d*)?", re.ASCII)
 
 
 def typed_columns(
@@ -51,7 +60,8 @@ def typed_columns(
 
 def _numbers(rows: Rows, name: str, cells: Sequence[Any], sign: str | None) -> list[Any]:
     """Return the numbers of a column, None where there is none."""
-    label, values = name.replace("_", " "), numbers(cells, sign)
+    unclear = "," if rows.delimiter == "," or rows.known else ",."
+    label, values = name.replace("_", " "), numbers(cells, sign, unclear)
     for i, value in enumerate(values):
         if isinstance(value, str):
             rows.refuse(i, f"{label}: {value}")
@@ -61,6 +71,10 @@ def _numbers(rows: Rows, name: str, cells: Sequence[Any], sign: str | None) -> l
             rows.refuse(i, f"{label}: {value:g} is no number to compare")
         elif value < 0 and name != "return":
             rows.refuse(i, f"{label}: {value:g} is less than 0")
+        elif name == "time" and value > DAY:
+            rows.refuse(
+                i, f"time: {value:g} s is more than a day: if it is a date, name the duration, --time-column NAME"
+            )
         elif name == "steps" and value % 1:
             rows.refuse(i, f"steps: {value:g} is not a whole number")
     if name.endswith("steps"):
@@ -105,7 +119,19 @@ def _names(rows: Rows, name: str, cells: Sequence[Any]) -> list[str]:
             rows.refuse(i, f"the {name.replace('_', ' ')} is empty")
         is_whole = isinstance(cell, float) and cell.is_integer()
         texts.append(str(int(cell)) if is_whole else " ".join(str(cell).split()))
+    if not rows.known:
+        _check_summaries(rows, name, texts)
+    if name in KEYS and all(map(NUMERAL.fullmatch, texts)):
+        return [str(int(text)) if text.isdecimal() else repr(float(text)).removesuffix(".0") for text in texts]
     return texts
+
+
+def _check_summaries(rows: Rows, name: str, texts: Sequence[str]) -> None:
+    """Refuse a row that sums up others: by its name, which as a policy's would be rarer than others."""
+    counts = Counter(texts)
+    for i, text in enumerate(texts):
+        if text.casefold().rstrip(":") in SUMMARIES and (name != "policy" or counts[text] < max(counts.values())):
+            rows.refuse(i, f"{text!r} as {name.replace('_', ' ')} sums up other rows: remove the row, or rename it")
 
 
 def _successes(rows: Rows, cells: Sequence[Any], name: str = "success") -> list[tuple[bool, ...]]:

@@ -15,6 +15,7 @@ NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?", re.IGNORECASE)
 GROUPS = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(?!\d))")
 """What divides thousands, and is never a decimal sign."""
 POINTS_OR_COMMAS = re.compile(r"[+-]?\d{1,3}((?P<sign>[.,])\d{3})(\2\d{3})*", re.ASCII)
+UNDIVIDED = re.compile(r"[+-]?\d{4,}", re.ASCII)
 COUNTS = re.compile(r"(\d+)\s*(?:/|of|von|out of)\s*(\d+)", re.IGNORECASE)
 
 
@@ -74,11 +75,14 @@ def decimal_signs(cells: Iterable[Any]) -> dict[str, str]:
     return shown
 
 
-def numbers(cells: Sequence[Any], sign: str | None) -> list[float | str | None]:
+def numbers(cells: Sequence[Any], sign: str | None, unclear: str = ",") -> list[float | str | None]:
     """Return the number in each cell, None for an empty one, and why for one that has none.
 
-    `sign` is the decimal sign of the file, None if nothing shows it.
+    `sign` is the decimal sign of the file, None if nothing shows it; `unclear` are signs that may then divide
+    thousands, of which the point does not in a column that has a thousand without one.
     """
+    if any(isinstance(cell, str) and UNDIVIDED.fullmatch(cell.strip()) for cell in cells):
+        unclear = unclear.replace(".", "")
     values: list[float | str | None] = []
     for cell in cells:
         if isinstance(cell, int | float) and not isinstance(cell, bool):
@@ -86,16 +90,17 @@ def numbers(cells: Sequence[Any], sign: str | None) -> list[float | str | None]:
         elif is_empty(cell):
             values.append(None)
         else:
-            values.append(_number(str(cell).strip() if isinstance(cell, str) else str(cell), sign))
+            values.append(_number(str(cell).strip() if isinstance(cell, str) else str(cell), sign, unclear))
     return values
 
 
-def _number(text: str, sign: str | None) -> float | str:
+def _number(text: str, sign: str | None, unclear: str) -> float | str:
     plain = GROUPS.sub("", text.replace("\u2212", "-"))
     if POINTS_OR_COMMAS.fullmatch(plain) and not plain.lstrip("+-").startswith("0"):
         last = max(",.", key=plain.rfind)
-        if sign is None and last == "," and plain.count(",") == 1:
-            return f"{text} may be {plain.replace(',', '.')} or {plain.replace(',', '')}: write it without a comma"
+        if sign is None and last in unclear and plain.count(last) == 1:
+            name = {",": "comma", ".": "point"}[last]
+            return f"{text} may be {plain.replace(',', '.')} or {plain.replace(last, '')}: write it without a {name}"
         if sign not in (None, last) or plain.count(last) > 1:
             plain = plain.replace(last, "")
     thousands = {".": ",", ",": "."}.get(sign or ".", "")

@@ -61,7 +61,7 @@ def judge(
 
             parts += [rows for folder in own for rows in read(folder)]
         defaults = policy_names(files)
-    found = trials_of(parts, chosen, defaults)
+    found = trials_of(parts, chosen, defaults, given.policies_in_columns)
     if len({trial.policy for trial in found.trials}) == 1:
         found.note("There is one policy only: name the files of another one too.")
     cells = comparisons_of(found, given)

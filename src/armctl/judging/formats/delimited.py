@@ -40,6 +40,7 @@ def read(path: Path) -> list[Rows]:
     values = [_fitted(source, number, cells, len(headings)) for number, cells in rows]
     table = Rows(
         source=source, headings=headings, values=values, places=[number for number, _ in rows], notes=notes,
+        delimiter=delimiter,
     )  # fmt: skip
     if log.FORMAT in header or headings == [*log.COLUMNS]:  # also if the comment was deleted
         log.check_readable(source, header, len(rows))
