@@ -154,3 +154,25 @@ def test_verdicts_by_return_are_corrected_for_their_number():
         r"a earns 0\.1 \[0\.0, 0\.2\] more return per episode than b, p = 0\.0\d+\.", text_of(summaries[:2], pairs[:1])
     )
     assert text_of(summaries, pairs).startswith("The returns of a and b do not differ significantly.")
+
+
+GROUPS_TEST = "random weights of trainings and of episodes"
+BETTING = "test by betting, which holds at any number of episodes,"
+
+
+@pytest.mark.parametrize(
+    ("names", "any_number", "test"),
+    [
+        ("a b", False, "McNemar's exact test"),
+        ("a b", True, BETTING),
+        ("a g[*]", False, GROUPS_TEST),
+        ("a b g[*]", False, f"McNemar's exact test, of [*] {GROUPS_TEST},"),
+        ("a b g[*]", True, f"{BETTING} of [*] {GROUPS_TEST},"),
+    ],
+)
+def test_captions_name_the_test_of_groups(names, any_number, test):
+    _, pairs = played({name: range(30 + i) for i, name in enumerate(names.split())}, episodes=40)
+    pairs = [dataclasses.replace(pair, any_number=any_number and "[*]" not in pair.b) for pair in pairs]
+    assert f"p: {test} for equal success, after Holm's" in difference_table(pairs).caption
+    by_return = difference_table([dataclasses.replace(pair, success_p=None) for pair in pairs]).caption
+    assert ("sign test" in by_return, GROUPS_TEST in by_return) == ("b" in names, "g" in names)

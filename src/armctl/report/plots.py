@@ -21,6 +21,7 @@ from armctl.stats.robustness import RobustnessRanking
 from armctl.study.comparison import Comparison
 from armctl.study.curves import training_curves
 from armctl.verdict.summary import PolicySummary
+from armctl.verdict.summary_tables import tests_in_words
 from armctl.verdict.tables import p_value
 from armctl.verdict.trade_off import break_evens, cost_curve, pareto_front, points
 
@@ -61,6 +62,7 @@ def comparison_plots(comparison: Comparison, styles: style.Styles) -> dict[str, 
     machines = Machines.of(comparison.runs, comparison.results)
     return {
         "by_success": by_success,
+        "tests": tests_in_words(comparison.differences),
         "shown": [styles[name] for name in episodes],
         "success": Plot(
             figures.success_bars(policies, styles),

@@ -12,6 +12,7 @@ from armctl.policies import learners
 from armctl.rollout.decision_times import Machines, load_notes, timing_notes, without_deadline_verdicts
 from armctl.runtime.provenance import Run, argument_notes, earlier_looks, overwritten_looks
 from armctl.stats.difference import Difference
+from armctl.stats.robustness import GROUP
 from armctl.verdict.facts import Facts
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.notes import certificate_notes, first_step_notes, motion_notes, unclean_notes
@@ -34,7 +35,8 @@ UNBOUNDED = (
 
 
 FIXED = (
-    "Intervals of single policies are for a fixed number of episodes; those of differences hold at any number of them."
+    "Intervals of single policies are for a fixed number of episodes; those of differences hold at any number of "
+    "them{groups}."
 )
 
 
@@ -183,9 +185,10 @@ def concluded(
     comparison.policies, comparison.differences = summarise(results, facts, runs)
     counted, _ = counted_results(results)
     by_return = bool(comparison.policies) and comparison.policies[0].success is None
+    any_number = [pair.any_number for pair in comparison.differences]
     comparison.notes += [
         *([] if facts.return_bounds or "return" in facts.unknown else [UNBOUNDED]),
-        *([FIXED] if any(pair.any_number for pair in comparison.differences) else []),
+        *([FIXED.format(groups=f", but for {GROUP}" * (not all(any_number)))] if any(any_number) else []),
         *certificate_notes(results),
         *first_step_notes(counted),
         *motion_notes(results, facts.control_period),

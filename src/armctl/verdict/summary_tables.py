@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 UNCONDITIONAL, RANDOM_WEIGHTS = "Barnard", "random weights of either side's episodes"
 """Tests of success, and of the higher return, on different episodes."""
+RANDOM_TRAININGS = "random weights of trainings and of episodes"
+"""Test of several trainings."""
 DISQUALIFIED, SPARED = "disqualified", "spared"
 FEW_UNDETECTED = 0.02
 """Share of failures that may go undetected without a remark: 2 % of the possible returns."""
@@ -201,23 +203,17 @@ def difference_table(pairs: Sequence[Difference], baseline: str | None = None) -
             rows.append([names, success, counts, Cell(p_value(p.success)), difference, steps])
         else:
             rows.append([names, difference, percent(pair.superiority.probability), Cell(p_value(p.higher))])
-    betting = "by betting, which holds at any number of episodes" * any(pair.any_number for pair in pairs)
     if by_success:
-        exact = f"{'McNemar' if paired else UNCONDITIONAL}'s exact test"
-        caption = f"p: {f'test {betting},' if betting else exact} for equal success, after Holm's correction "
-        caption += f"for {family}, and for success, steps and returns together. Intervals: 95 %, each pair by itself."
+        caption = f"p: {tests_in_words(pairs)} for equal success, after Holm's correction for {family}, "
+        caption += "and for success, steps and returns together. Intervals: 95 %, each pair by itself."
         if any(pair.crossed for pair in pairs):
             caption += " [*]: for other trainings and other episodes, whatever the distribution of trainings."
         caption += _if_normal(pairs)
     else:
         columns = [name, gain, Column("a is better"), Column("p")]
-        share, test = (
-            ("share of episodes in which", "sign test") if paired else ("probability with which", RANDOM_WEIGHTS)
-        )
+        share = "share of episodes in which" if paired else "probability with which"
         caption = f"a is better: {share} a has the higher return; a tie counts half. "
-        caption += (
-            f"p: {' '.join(filter(None, (test, betting)))}, after Holm's correction for {family}. Intervals: 95 %."
-        )
+        caption += f"p: {tests_in_words(pairs).rstrip(',')}, after Holm's correction for {family}. Intervals: 95 %."
     records = [
         {
             **dataclasses.asdict(pair), "p_corrected": p.success if by_success else p.higher,
@@ -227,6 +223,21 @@ def difference_table(pairs: Sequence[Difference], baseline: str | None = None) -
     ]  # fmt: skip
     title = "Paired differences, on the same episodes" if paired else "Unpaired differences, on different episodes"
     return Table("differences", title, columns, rows, records, caption)
+
+
+def tests_in_words(pairs: Sequence[Difference]) -> str:
+    """Return by what tests success is compared, or if it is unknown, the higher return; with a comma if need be."""
+    by_success, paired = any(pair.success_p is not None for pair in pairs), all(pair.paired for pair in pairs)
+    if by_success:
+        test = f"{'McNemar' if paired else UNCONDITIONAL}'s exact test"
+    else:
+        test = "sign test" if paired else RANDOM_WEIGHTS
+    if any(pair.any_number for pair in pairs):
+        test = f"{'test' if by_success else test} by betting, which holds at any number of episodes,"
+    of_groups = [pair.a.endswith(GROUP) or pair.b.endswith(GROUP) for pair in pairs]
+    if all(of_groups):
+        return RANDOM_TRAININGS
+    return f"{test.rstrip(',')}, of {GROUP} {RANDOM_TRAININGS}," if any(of_groups) else test
 
 
 def _wins(pair: Difference) -> str:
