@@ -231,6 +231,7 @@ def own_part(monkeypatch, tmp_path, **changes):
         {"versions": {"armctl-suite": "0.0.1", "mujoco": "3.0"}},
         {"real_time": {"latency": "measured", "slow_down": 1.0}},
         {"time_limit": 1000},
+        {"return_bounds": (-1000.0, 99.0)},
         {"env_options": {"goal": "far"}},
     ],
 )
@@ -244,6 +245,23 @@ def test_folders_of_armctl_differ_in_what_defines_an_episode(tmp_path, monkeypat
     assert len(trials_of([*parts, *same], {}, {}).trials) == 6
     with pytest.raises(ConfigurationError, match=r"/b and .*/a differ in the "):
         trials_of([*parts, *own_part(monkeypatch, tmp_path, **changes)], {}, {})
+
+
+def test_each_task_has_its_time_limit_and_all_have_the_widest_returns():
+    from armctl.judging.cells import Terms, comparisons_of
+    from armctl.judging.rows import Rows
+    from armctl.judging.trials import trials_of
+
+    limits = {"a": (100, (-100.0, 9.0)), "b": (300, (-10.0, 99.0)), "c": (200, (0.0, 1.0))}
+    parts = [
+        Rows(source=f"{policy} {task}", headings=["episode", "success", "return", "steps"], places=range(20),
+             values=[[k, k % 2, 0.5, 50] for k in range(20)], constants={"task": task, "policy": policy},
+             known=True, time_limit=limit, return_bounds=bounds)
+        for task, (limit, bounds) in limits.items() for policy in ("new", "old")
+    ]  # fmt: skip
+    facts = {cell.name: comparison.facts for cell, comparison in comparisons_of(trials_of(parts, {}, {}), Terms())}
+    assert {name: about.time_limit for name, about in facts.items()} == {"a": 100, "b": 300, "c": 200, "all": 300}
+    assert facts["all"].return_bounds == (-100.0, 99.0)
 
 
 def test_time_limits_of_one_task_are_equal(tmp_path):

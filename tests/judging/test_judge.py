@@ -2,6 +2,7 @@
 
 import json
 import random
+from typing import Any
 
 import hypothesis
 import hypothesis.strategies as st
@@ -225,8 +226,10 @@ def test_wrong_words_are_told(tmp_path):
 
 def test_terms_that_a_folder_of_armctl_has_no_use_for_are_refused(tmp_path):
     (tmp_path / STORE).write_bytes(b"")
-    useless = {"learned": ["a"], "success_return": 1.0, "return_bounds": (0.0, 1.0), "time_limit": 3.0,
-               "max_steps": 5, "any_number": True, "unpaired": True, "task": "x"}  # fmt: skip
+    useless: dict[str, Any] = {
+        "learned": ["a"], "success_return": 1.0, "return_bounds": (0.0, 1.0), "time_limit": 3.0, "max_steps": 5,
+        "any_number": True, "unpaired": True, "policies_in_columns": True, "task": "x",
+    }  # fmt: skip
     for name, value in useless.items():
         with pytest.raises(ConfigurationError, match=f"has armctl's own results, .* no --{name.replace('_', '-')}$"):
             judge(tmp_path, **{name: value})

@@ -62,7 +62,7 @@ class Trials:
     setups: dict[tuple[str, str, str], tuple[str, str]] = field(default_factory=dict)
     """What has to be equal in a task and condition, by its name: its value and the first file."""
     return_bounds: Bounds | None = None
-    """Possible returns, if the files say so."""
+    """Possible returns of all tasks together, if the files say so."""
     any_number: bool = False
     """True if a file is a log, whose verdict has to hold at any number of trials."""
 
@@ -147,7 +147,9 @@ def _add(result: Trials, rows: Rows, values: Mapping[str, Sequence[Any]]) -> Non
     if len(result.trials) > MAX_TRIALS:
         raise ConfigurationError(f"{rows.source}: there are more than {MAX_TRIALS:,} episodes")
     result.any_number |= rows.any_number
-    result.return_bounds = rows.return_bounds or result.return_bounds
+    if rows.return_bounds is not None:
+        low, high = zip(rows.return_bounds, result.return_bounds or rows.return_bounds, strict=True)
+        result.return_bounds = min(low), max(high)
     _check_setup(result, rows)
 
 
@@ -158,6 +160,8 @@ def _check_setup(result: Trials, rows: Rows) -> None:
     if rows.time_limit is not None:
         setup["time limit"] = f"{rows.time_limit} steps"
         result.time_limits[task] = rows.time_limit
+    if rows.return_bounds is not None:
+        setup["possible returns"] = "{:g} to {:g}".format(*rows.return_bounds)
     for name, value in setup.items():
         present, source = result.setups.setdefault((task, condition, name), (value, rows.source))
         if value != present:
