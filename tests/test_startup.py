@@ -10,7 +10,7 @@ from armctl.study import compare
 
 HEAVY = {
     "casadi", "coal", "eaik", "h5py", "joblib", "jinja2", "matplotlib", "mujoco", "numba", "ompl", "onnx",
-    "onnxruntime", "osqp", "pandas", "pinocchio", "plotly", "scipy.ndimage", "scipy.sparse", "scipy.spatial",
+    "onnxruntime", "osqp", "pandas", "pinocchio", "plotly", "ruckig", "scipy.ndimage", "scipy.sparse", "scipy.spatial",
     "scipy.stats", "torch",
 }  # fmt: skip
 """Packages that take a tenth of a second or more, or load one that does."""

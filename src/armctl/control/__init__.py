@@ -1,4 +1,4 @@
-"""Path following and model predictive control, independent of MuJoCo and Gymnasium."""
+"""Path following, model predictive control and trajectory timing, independent of MuJoCo and Gymnasium."""
 
 from typing import TYPE_CHECKING
 

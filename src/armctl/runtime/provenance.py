@@ -154,6 +154,7 @@ def _versions() -> dict[str, str]:
         "eaik",
         "ompl",
         "osqp",
+        "ruckig",
         "gymnasium",
         "numpy",
         "scipy",

@@ -1,0 +1,123 @@
+"""Joint trajectories within limits of velocity, acceleration and jerk.
+
+From point to point, Ruckig finds the minimum-time trajectory (Berscheid and Kroeger, "Jerk-limited real-time trajectory
+generation with arbitrary target states", RSS 2021). Along a path of many points, two moving averages smooth a motion
+from corner to corner at full speed. The first bounds its acceleration, the second its jerk, and both round the corners
+(Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain specifications",
+Control Engineering Practice 20, 2012).
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from ruckig import InputParameter, Ruckig, Synchronization
+from ruckig import Trajectory as RuckigTrajectory
+from scipy.ndimage import uniform_filter1d
+
+from armctl.core.arrays import Array
+from armctl.core.errors import ConfigurationError
+from armctl.robot_description import JointLimits
+
+SAMPLE = 0.002
+"""s: time between two points of a trajectory"""
+PACES = (1.0, 0.7, 0.5, 0.3)
+"""Fractions of the full speed to try, the highest first: slower motions cut corners less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Joint positions every `SAMPLE` seconds from time 0; the joints rest at the last."""
+
+    positions: Array
+    """(m, dof) rad."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds until all joints are at rest."""
+        return SAMPLE * (len(self.positions) - 1)
+
+    def at(self, times: ArrayLike) -> Array:
+        """Return positions (..., dof) rad at `times` (...), s."""
+        samples = np.asarray(times, dtype=float) / SAMPLE
+        first = np.clip(np.floor(samples).astype(int), 0, len(self.positions) - 1)
+        second = np.minimum(first + 1, len(self.positions) - 1)
+        share = np.clip(samples - first, 0.0, 1.0)[..., None]
+        return np.asarray((1 - share) * self.positions[first] + share * self.positions[second])
+
+
+def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, straight: bool = False) -> Trajectory:
+    """Return the minimum-time motion from rest at `start` to rest at `goal`, (dof,) each; `straight` keeps to the line.
+
+    Raises `ConfigurationError` for configurations outside the limits.
+    """
+    ends = _checked(limits, np.array([start, goal], dtype=float))
+    dof = ends.shape[1]
+    problem = InputParameter(dof)
+    problem.current_position, problem.target_position = ends.tolist()
+    problem.max_velocity, problem.max_acceleration = limits.velocity.tolist(), limits.acceleration.tolist()
+    problem.max_jerk = limits.jerk.tolist()
+    problem.synchronization = Synchronization.Phase if straight else Synchronization.Time
+    trajectory = RuckigTrajectory(dof)
+    Ruckig(dof).calculate(problem, trajectory)
+    times = np.arange(0.0, trajectory.duration + SAMPLE, SAMPLE)
+    return Trajectory(np.array([trajectory.at_time(float(time))[0] for time in times]))
+
+
+def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool = False) -> Trajectory:
+    """Return a smooth motion from rest to rest along the corners of a path (m, dof) rad.
+
+    It cuts corners: less at a lower `pace`, which is a fraction of the full speed, and not at all with `stops`.
+
+    Raises `ConfigurationError` for an invalid path, and for one outside the limits.
+    """
+    corners = _checked(limits, np.asarray(path, dtype=float))
+    if stops:
+        corners = np.repeat(corners, [1, *[2] * (len(corners) - 2), 1], axis=0)
+    steps = np.diff(corners, axis=0)
+    durations = np.maximum((np.abs(steps) / limits.velocity).max(axis=1) / pace, SAMPLE)
+    spread = np.ptp(np.vstack((steps / durations[:, None], np.zeros(len(limits.lower)))), axis=0)
+    smooth_velocity = float((spread / limits.acceleration).max())
+    smooth_acceleration = float((2 * limits.acceleration / limits.jerk).max())
+    durations[~steps.any(axis=1)] = smooth_velocity + smooth_acceleration
+    knots = np.concatenate(([0.0], np.cumsum(durations)))
+    widths = [1 + 2 * int(np.ceil(span / SAMPLE / 2)) for span in (smooth_velocity, smooth_acceleration)]
+    rest = SAMPLE * sum(width // 2 + 1 for width in widths)
+    clock = np.arange(-rest, knots[-1] + rest + SAMPLE, SAMPLE)
+    positions = np.column_stack([np.interp(clock, knots, joint) for joint in corners.T])
+    for width in widths:
+        positions = uniform_filter1d(positions, width, axis=0, mode="nearest")
+    return Trajectory(positions)
+
+
+def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory], bool]) -> Trajectory:
+    """Return the fastest collision-free trajectory along a path (m, dof): at a slower pace or with stops if needed.
+
+    The path itself is assumed to be free, and so is the motion with stops.
+    """
+    corners = np.asarray(path, dtype=float)
+    if len(corners) == 2:
+        candidates = (point_to_point(_at_pace(limits, pace), corners[0], corners[1], straight=True) for pace in PACES)
+    else:
+        candidates = (along(limits, corners, pace) for pace in PACES)
+    last = along(limits, corners, PACES[-1], stops=True)
+    faster = itertools.takewhile(lambda trajectory: trajectory.duration < last.duration, candidates)
+    return next(filter(is_free, faster), last)
+
+
+def _at_pace(limits: JointLimits, pace: float) -> JointLimits:
+    """Return limits under which the same motions take 1 / `pace` times as long."""
+    velocity, acceleration, jerk = pace * limits.velocity, pace**2 * limits.acceleration, pace**3 * limits.jerk
+    return replace(limits, velocity=velocity, acceleration=acceleration, jerk=jerk)
+
+
+def _checked(limits: JointLimits, path: Array) -> Array:
+    if path.ndim != 2 or len(path) < 2 or path.shape[1] != len(limits.lower):
+        raise ConfigurationError(
+            f"path should be an array (m, {len(limits.lower)}) with at least two rows, not of shape {path.shape}"
+        )
+    if not ((path >= limits.lower - 1e-9) & (path <= limits.upper + 1e-9)).all():
+        raise ConfigurationError(f"the path leaves the joint limits {limits.lower} to {limits.upper}: {path}")
+    return path
