@@ -155,7 +155,11 @@ def test_a_difference_has_the_same_values_as_that_of_fixed_tests_and_wider_inter
 def test_intervals_of_several_pairs_are_wider_and_unknown_bounds_stay_unknown():
     single, several = pair_of()[0], pair_of(3)[0]
     assert several.success_among(3).low < single.success_among(1).low == several.success_among(1).low
-    assert several.anytime.narrow.high > single.anytime.narrow.high
+    reach = max(map(abs, single.anytime.at(0.9).bounds))
+    assert max(map(abs, single.anytime.at(0.99).bounds)) > reach
+    for pair in (single, several, single.reversed()):
+        assert [pair.equivalent(reach + 1e-6, claims) for claims in (1, 2, 10)] == [True, False, False]
+    assert (-single.anytime).at(0.9) == -(single.anytime.at(0.9))
     unknown = pair_of(bounds=None)[0]
     assert (unknown.return_p, unknown.return_difference.low) == (None, None)
     assert unknown.superiority.p == single.superiority.p

@@ -224,14 +224,16 @@ def test_two_groups_have_welchs_degrees_of_freedom():
 @pytest.mark.parametrize("num_comparisons", [1, 3, 10])
 def test_equivalence_of_groups_is_corrected_for_the_number_of_claims(num_comparisons):
     won, other = np.ones((4, 300)), np.ones((1, 300))
+    single = paired_difference("a", "b", (won, other), (9 * won, other), None, (0.0, 9.0))
     pair = paired_difference(
         "a", "b", (won, other), (9 * won, other), None, (0.0, 9.0), num_comparisons=num_comparisons
     )
     # Two tests at 5 % / num_comparisons: one more training of a fails with a probability of 1 - level^(1/4).
     level = EQUIVALENCE / num_comparisons
     assert -pair.crossed.ci90.low == pytest.approx(1 - level ** (1 / 4), abs=0.03)
-    assert pair.equivalent(1.04 - level ** (1 / 4), num_comparisons)
-    assert not pair.equivalent(0.96 - level ** (1 / 4), num_comparisons)
+    for same in (pair, pair.reversed(), single):  # in a comparison of one pair, but of so many tasks
+        assert not same.equivalent(0.96 - level ** (1 / 4), num_comparisons)
+        assert same.equivalent(1.04 - level ** (1 / 4), num_comparisons)
     assert pair.crossed.estimate == difference_over_trainings(won, other, SHARES).estimate
     assert (pair.success_p, pair.crossed.p) == (1, 1)
     earned = difference_over_trainings(9 * won, other, (0.0, 9.0))

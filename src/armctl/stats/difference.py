@@ -8,6 +8,7 @@ import numpy as np
 
 from armctl.core.arrays import Array
 from armctl.stats.intervals import (
+    AnyConfidence,
     Bounds,
     Estimate,
     Superiority,
@@ -43,16 +44,14 @@ class Simultaneous:
 
 
 @dataclass(frozen=True)
-class SuccessIntervals:
+class SuccessIntervals(AnyConfidence):
     """Difference in success with intervals that hold at any number of episodes."""
 
     estimate: Estimate
-    narrow: Estimate
-    """Difference with the interval of the two one-sided tests, for all pairs of a comparison."""
     simultaneous: Estimate
 
     def __neg__(self) -> "SuccessIntervals":
-        return SuccessIntervals(-self.estimate, -self.narrow, -self.simultaneous)
+        return SuccessIntervals(-self.estimate, -self.simultaneous).by(lambda confidence: -self.at(confidence))
 
 
 @dataclass(frozen=True)
@@ -151,10 +150,8 @@ class Difference:
         """
         if self.success_p is None:
             return False
-        if self.anytime is not None:
-            return within(self.anytime.narrow, margin)
-        level = 1 - 2 * EQUIVALENCE / num_comparisons
-        return within(self.crossed.ci90 if self.crossed else self._difference_in_success(level), margin)
+        intervals, level = self.crossed or self.anytime, 1 - 2 * EQUIVALENCE / num_comparisons
+        return within(intervals.at(level) if intervals else self._difference_in_success(level), margin)
 
     def reversed(self) -> "Difference":
         """Return policy b against policy a, by the same tests."""
@@ -199,8 +196,7 @@ def paired_difference(
 
     Scores are arrays (episodes,) or (trainings, episodes), whose columns are the same episodes; there is at least one.
     `success` is None if it is unknown, `steps` are the restricted steps to the goal. `return_bounds` are those of each
-    policy's return, None if they are unknown. The simultaneous intervals, and equivalence of several trainings, hold
-    for `num_comparisons` pairs.
+    policy's return, None if they are unknown. The simultaneous intervals hold for `num_comparisons` pairs.
     """
     scores = success, returns, steps
     return _difference_between((a, b), scores, (return_bounds, time_limit), num_comparisons, paired=True)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import scipy
@@ -89,6 +89,20 @@ def bounded_mean(values: Array, bounds: Bounds, confidence: float = 0.95) -> Est
     """
     result = bounded_difference(values, bounds, confidence)
     return None if result is None else result.simultaneous
+
+
+class AnyConfidence:
+    """A value whose interval of any confidence is computed when it is asked for, and is in no record of its fields."""
+
+    def by(self, interval: Callable[[float], Estimate]) -> Self:
+        """Set what returns the value with an interval; return the object."""
+        vars(self)["_interval"] = interval
+        return self
+
+    def at(self, confidence: float) -> Estimate:
+        """Return the value with its interval of another confidence."""
+        interval: Callable[[float], Estimate] = vars(self)["_interval"]
+        return interval(confidence)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.stats.difference import EQUIVALENCE, UNCERTAINTY, Difference, Simultaneous, SuccessIntervals
+from armctl.stats.difference import UNCERTAINTY, Difference, Simultaneous, SuccessIntervals
 from armctl.stats.intervals import Bounds, Estimate, Superiority, sign_of_difference
 from armctl.stats.paired import counts_of_pairs
 
@@ -152,7 +152,7 @@ def sequential_difference(
 ) -> Difference:
     """Compare two policies as `paired_difference` does, by what holds at any number of episodes.
 
-    The simultaneous intervals, and equivalence, hold for `num_comparisons` pairs (Bonferroni). p-values hold when a
+    The simultaneous intervals hold for `num_comparisons` pairs (Bonferroni). p-values hold when a
     comparison stops, so that Holm's correction of several applies to them as to all others.
     """
     wide = 1 - UNCERTAINTY / num_comparisons
@@ -166,10 +166,9 @@ def sequential_difference(
         won, other = (np.atleast_2d(np.asarray(success, dtype=float)) for success in scores.success)
         counts = counts_of_pairs(won, other)
         gains = ConfidenceSequence((won - other)[0], (-1.0, 1.0))
-        narrow = gains.estimate(1 - 2 * EQUIVALENCE / num_comparisons)
         success = {
             "success_p": gains.p(),
-            "anytime": SuccessIntervals(gains.estimate(), narrow, gains.estimate(wide)),
+            "anytime": SuccessIntervals(gains.estimate(), gains.estimate(wide)).by(gains.estimate),
             "wins": (int(won.sum()), int(other.sum())),
             **dict(zip(("both_won", "only_a", "only_b", "neither"), counts, strict=True)),
         }

@@ -12,6 +12,7 @@ Components, 1992, section 4.4), takes trainings to vary normally. Nothing is con
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ import scipy
 
 from armctl.core.arrays import Array
 from armctl.stats.intervals import (
+    AnyConfidence,
     Bounds,
     Estimate,
     RandomWeights,
@@ -52,7 +54,7 @@ class TrainingMean:
 
 
 @dataclass(frozen=True)
-class CrossedDifference:
+class CrossedDifference(AnyConfidence):
     """A mean of one learner minus that of another, at least one of which is several trainings."""
 
     estimate: Estimate
@@ -68,7 +70,8 @@ class CrossedDifference:
     """
 
     def __neg__(self) -> "CrossedDifference":
-        return CrossedDifference(-self.estimate, -self.ci90, self.p, -self.simultaneous, -self.if_normal)
+        negative = CrossedDifference(-self.estimate, -self.ci90, self.p, -self.simultaneous, -self.if_normal)
+        return negative.by(lambda confidence: -self.at(confidence))
 
 
 def mean_over_trainings(scores: Array, bounds: Bounds | None = None) -> TrainingMean:
@@ -112,7 +115,7 @@ def difference_over_trainings(
         None if weighted is None else weighted.p(),
         _estimate(weighted, student.value, possible, simultaneous),
         student.estimate(possible),
-    )
+    ).by(partial(_estimate, weighted, student.value, possible))
 
 
 def superiority_over_trainings(
