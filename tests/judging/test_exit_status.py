@@ -60,3 +60,16 @@ def test_too_few_episodes_decide_nothing(tmp_path, tasks):
     assert not judged(tmp_path, ["policy,episode,success", "old,0,1"]).conclusions
     with pytest.raises(ConfigurationError, match="nothing was compared"):
         judged(tmp_path, ["policy,episode,success", "old,0,1"]).fails({"worse"})
+
+
+def test_an_interval_for_all_pairs_says_so_where_it_contradicts_a_corrected_p(tmp_path):
+    won = {"base": 8, "a": 40, "b": 40, "c": 17}
+    lines = ["policy,success", *(f"{name},{int(k < n)}" for name, n in won.items() for k in range(40))]
+    judgement = judged(tmp_path, lines, baseline="base")
+    told = [str(conclusion) for conclusion in judgement.conclusions]
+    assert told[-1].startswith("c 42.5 % against base 20.0 %: better, +22.5 points [-")
+    assert ["interval for 3 pairs at once" in text for text in told] == [False, False, True]
+    assert "p = 0.033 (on different episodes; Holm, 3 tests; interval for 3 pairs at once)." in (
+        str(judgement.overall.verdict)
+    )
+    assert str(judgement.overall.verdict).count("at once") == 1

@@ -36,9 +36,10 @@ class Conclusion:
         signed = difference if self.pair.first.policy == self.policy else -difference
         by_name = {policy.policy: policy for policy in (self.pair.first, self.pair.second)}
         rates = [percent(by_name[name].success).text for name in (self.policy, self.against)]
+        holm = f"p = {p_value(self.pair.p.success)}{f' ({words})' if (words := self.pair.interval_in_words) else ''}"
         return (
             f"{self.policy} {rates[0]} against {self.against} {rates[1]}: {self.outcome}, {points(signed)}, "
-            f"p = {p_value(self.pair.p.success)}, {episodes}"
+            f"{holm}, {episodes}"
         )
 
 

@@ -41,6 +41,16 @@ class Pair:
         """Difference in success; None if it is unknown. The interval holds at once for all `num_comparisons`."""
         return self.difference.success_among(self.num_comparisons)
 
+    @property
+    def interval_in_words(self) -> str:
+        """For how many pairs that interval holds, where it has 0 in it though Holm's correction refutes equal success.
+
+        Each holds for all pairs, and a step of Holm's only for those that are left; empty otherwise.
+        """
+        low, high = self.success.bounds if self.success else (math.nan, math.nan)
+        refuted = self.num_comparisons > 1 and self.p.success is not None and self.p.success < SIGNIFICANT
+        return f"interval for {self.num_comparisons} pairs at once" if refuted and low <= 0 <= high else ""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -196,11 +206,11 @@ def _sentences(pair: Pair, margin: float, validity: str) -> list[str]:
 
 
 def _p(pair: Pair, p: float | None) -> str:
-    return f"p = {p_value(p)}{_family(pair)}"
+    return f"p = {p_value(p)}{_family(pair, pair.interval_in_words)}"
 
 
-def _family(pair: Pair) -> str:
-    return _bracketed(pair, f"Holm, {pair.p.tests} tests" * (pair.p.tests > 1))
+def _family(pair: Pair, *details: str) -> str:
+    return _bracketed(pair, f"Holm, {pair.p.tests} tests" * (pair.p.tests > 1), *details)
 
 
 def _bracketed(pair: Pair, *details: str) -> str:
