@@ -43,7 +43,7 @@ class Pair:
 
     @property
     def interval_in_words(self) -> str:
-        """For how many pairs that interval holds, where it has 0 in it though Holm's correction refutes equal success.
+        """Number of pairs for which that interval holds, where it contains 0 though Holm's p is significant.
 
         Each holds for all pairs, and a step of Holm's only for those that are left; empty otherwise.
         """
