@@ -31,8 +31,8 @@ from armctl.policies.trainings import card_of
 from armctl.runtime.isolated import ANSWER, Answer, Code, RemoteError
 from armctl.tasks import Observations
 
-PATIENCE = 300.0
-"""s that a policy may take for a call, or to be made, before it counts as hanging."""
+PATIENCE = dict.fromkeys(("load", "make", "reset", "act"), 300.0)
+"""s that a policy may take for each request before it counts as hanging."""
 LARGEST_MESSAGE = 2**28
 """Bytes of an answer."""
 START = "import sys; sys.path[:] = {path!r}; from armctl.runtime.isolated import main; main({descriptor}, {parent})"
@@ -169,9 +169,9 @@ class _Process:
         try:
             dumps = pickle.dumps if request == "act" else cloudpickle.dumps  # objects of a script travel by value
             self._connection.send_bytes(dumps((request, *arguments), pickle.HIGHEST_PROTOCOL))
-            if not self._connection.poll(PATIENCE):
+            if not self._connection.poll(PATIENCE[request]):
                 self.end()
-                raise PolicyProcessFailed(f"its process has not answered for {PATIENCE:g} s, and was ended")
+                raise PolicyProcessFailed(f"its process has not answered for {PATIENCE[request]:g} s, and was ended")
             message = self._connection.recv_bytes(LARGEST_MESSAGE)
         except (EOFError, OSError) as error:
             raise PolicyProcessFailed(f"its process {self._way_of_dying()}") from error
