@@ -61,7 +61,7 @@ def writes(observation):
 
 def replaces(observation):
     for module in list(sys.modules.values()):
-        if hasattr(module, "Guess"):
+        if "Guess" in vars(module):
             module.Guess.bonus = 1.0
     return [0.5]
 
@@ -83,7 +83,7 @@ class Threads:
 AT_IMPORT = """
 import sys
 for module in list(sys.modules.values()):
-    if hasattr(module, "Guess"):
+    if "Guess" in vars(module):
         module.Guess.bonus = 1.0
 
 def policy(observation):
