@@ -26,7 +26,7 @@ CHEATS = """
 import ctypes, gc, os, pickle, random, socket, sys, time
 import numpy as np
 
-LOOT = []
+ENDED = []
 
 def environment():
     found = [o for o in gc.get_objects() if type(o).__name__ == "Guess"]
@@ -71,7 +71,7 @@ class Threads:
         import threading
         threading.Thread(target=self.wait, daemon=True).start()
     def wait(self):
-        while True:
+        while not ENDED:
             env = environment()
             if env and getattr(env, "steps", 0) == 1:
                 env.drawn = 0.125
@@ -98,7 +98,9 @@ def home(tmp_path, monkeypatch):
     (tmp_path / "at_import.py").write_text(AT_IMPORT)
     for name in ("cheats", "at_import"):
         monkeypatch.delitem(sys.modules, name, raising=False)
-    return tmp_path
+    yield tmp_path
+    if "cheats" in sys.modules:
+        sys.modules["cheats"].ENDED.append(True)
 
 
 def played(policies, isolate, env="guess_task.py:Guess", episodes=8, **options):
