@@ -73,3 +73,19 @@ def test_an_interval_for_all_pairs_says_so_where_it_contradicts_a_corrected_p(tm
         str(judgement.overall.verdict)
     )
     assert str(judgement.overall.verdict).count("at once") == 1
+
+
+LONG = "x" * 300
+
+
+@pytest.mark.parametrize(
+    "line",
+    [["judge", LONG], ["judge", f"{LONG}.parquet"], ["judge", "trials.csv", "--out", LONG], ["log", LONG, "a", "b"]],
+    ids=lambda line: "-".join(word[-12:] for word in line),
+)
+def test_a_name_that_no_file_can_have_is_a_line(tmp_path, line):
+    (tmp_path / "trials.csv").write_text("policy,trial,success\n" + "".join(f"a,{i},1\nb,{i},0\n" for i in range(12)))
+    done = armctl(*line, cwd=tmp_path, check=False)
+    assert done.returncode == 2
+    assert "File name too long" in done.stderr
+    assert "Traceback" not in done.stderr

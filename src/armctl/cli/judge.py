@@ -1,5 +1,6 @@
 """Verbs for results that armctl did not play: `judge`, and `log` for trials by hand."""
 
+import os
 import secrets
 import sys
 from dataclasses import dataclass
@@ -176,7 +177,7 @@ def log(request: LogRequest) -> None:
     from armctl.judging.log import TrialLog
 
     names = request.names or []
-    if request.file.exists():
+    if os.path.exists(request.file):
         trial_log = TrialLog.read(request.file)
         trial_log.check_plan(names, request.episodes, request.seed)
     elif not names or request.unblind:

@@ -1,5 +1,6 @@
 """Finds and reads the files of results, each by the reader of its format."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def read_file(path: Path) -> list[Rows]:
     reader = READERS.get(path.suffix.lower())
     if path.name == STORE:
         raise ConfigurationError(f"{path} is the store of a results folder: name the folder {path.parent}")
-    if reader is None and path.exists():
+    if reader is None and os.path.exists(path):
         raise ConfigurationError(f"{path}: armctl judge reads {', '.join(READERS)}, and armctl's results folders")
     try:
         return (reader or delimited.read)(path)

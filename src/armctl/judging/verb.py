@@ -1,5 +1,6 @@
 """Judges results made anywhere: `judge` reads episodes, and returns the verdict on them."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -51,9 +52,9 @@ def judge(
         paths = [results] if isinstance(results, str | Path) else [*results]
         if not paths:
             raise ConfigurationError("there is nothing to judge: name files or folders of results")
-        if len(paths) == 1 and not chosen and (Path(paths[0]) / STORE).is_file():
+        if len(paths) == 1 and not chosen and _is_own(paths[0]):
             return _of_own(Path(paths[0]), given)
-        own = [Path(path) for path in paths if (Path(path) / STORE).is_file()]
+        own = [Path(path) for path in paths if _is_own(path)]
         files = files_of(path for path in paths if Path(path) not in own)
         parts = [rows for file in files for rows in read_file(file)]
         if own:
@@ -72,6 +73,11 @@ def judge(
     by_condition = {(cell.task, cell.condition): comparison for cell, comparison in cells}
     study = study_parts(by_condition, same_episodes)
     return Judgement({cell.name: comparison for cell, comparison in cells}, overall, study)
+
+
+def _is_own(path: str | Path) -> bool:
+    """Return True for a results folder of armctl's; False also for a name that no file can have."""
+    return os.path.isfile(Path(path) / STORE)
 
 
 def _of_own(folder: Path, terms: Terms) -> Judgement:

@@ -1,6 +1,7 @@
 """Writes a judgement of results that armctl did not play: pages, tables and the verdict as text."""
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,7 +37,8 @@ def write_judgement(judgement: Judgement, folder: Path, overwrite: bool = False)
 
     Raises `ResultsError` if the folder has such files, unless `overwrite`, or cannot be written.
     """
-    if (folder / STORE).exists() or (not overwrite and any((folder / name).exists() for name in (VERDICT, REPORT))):
+    forbidden = (STORE,) if overwrite else (STORE, VERDICT, REPORT)
+    if any(os.path.lexists(folder / name) for name in forbidden):
         raise ResultsError(
             f"{folder} holds results already: choose another folder, or --overwrite what judge has written"
         )
