@@ -8,14 +8,13 @@ how often a policy is declared better that is not. Where Student's t knows nothi
 held. Random weights are drawn 1,000 times only, which makes single intervals less exact, and not their coverage.
 """
 
-import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
 import numpy as np
 import typer
-from printing import markdown_table, show
+from printing import show_simulations
 from scipy import stats
 
 import armctl
@@ -327,15 +326,8 @@ TABLES = {
 
 def main(runs: int = 2000, table: str = "") -> None:
     """Simulate, and print a table for each method."""
-    for name, (simulate, columns) in TABLES.items():
-        if table and name != table:
-            continue
-        statistics.DRAWS = DRAWS
-        start, printed = time.process_time(), markdown_table(*columns)
-        for row in simulate(runs):
-            printed.add_row(*row)
-        show(printed)
-        print(f"{name}: {runs} runs, armctl {armctl.__version__}, {time.process_time() - start:.0f} s of processor\n")
+    statistics.DRAWS = DRAWS
+    show_simulations(TABLES, runs, table)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ those of two policies in the same episode are independent too, unless a row stat
 """
 
 import functools
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 import scipy
 import typer
 from numpy.typing import NDArray
-from printing import markdown_table, show
+from printing import show_simulations
 from scipy import stats
 
 import armctl
@@ -304,14 +303,7 @@ TABLES = {
 
 def main(runs: int = 1000, table: str = "") -> None:
     """Simulate, and print a table for each question."""
-    for name, (simulate, columns) in TABLES.items():
-        if table and name != table:
-            continue
-        start, printed = time.process_time(), markdown_table(*columns)
-        for row in simulate(runs):
-            printed.add_row(*row)
-        show(printed)
-        print(f"{name}: {runs} runs, armctl {armctl.__version__}, {time.process_time() - start:.0f} s of processor\n")
+    show_simulations(TABLES, runs, table)
 
 
 if __name__ == "__main__":
