@@ -278,6 +278,8 @@ def test_a_folder_gets_the_report_and_the_tables(tmp_path):
     assert "trials.csv" in body
     for missing in ("Reproduce", "Decision times", "Performance profile", "armctl compare", "seed 0", "nan"):
         assert missing not in body, missing
+    for unknown in ("return", "clean", "steps", "efficiency", "decision"):
+        assert f"<th>{unknown}" not in body, unknown
     assert (tmp_path / "out" / "verdict.md").read_text().startswith("🟢 **new 90.0 % against old 55.0 %")
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["sources"] == ["trials.csv"]
     again = armctl("judge", "trials.csv", "--out", "out", cwd=tmp_path, check=False)
