@@ -1,0 +1,108 @@
+"""Compensation for a constant delay of actions that nobody has measured: identify it, and predict beyond it.
+
+A bank of models, one for each candidate delay, predicts each reading from the previous one and the action that the
+candidate believes to have acted in between (multiple-model identification: Magill, Optimal adaptive estimation of
+sampled stochastic processes, IEEE TAC 10(4), 1965). The candidate with the smallest sum of errors wins. Then the law of
+motion is rolled forward over the actions under way, and the controller acts from the state there, as in a Smith
+predictor (Smith, Closer control of loops with dead time, Chem. Eng. Progress 53, 1957).
+
+In each control step: `read` the states, `predict` those in which the next actions will act, and `send` these actions.
+"""
+
+from collections.abc import Callable
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from armctl.core.arrays import Array, checked_array
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import Positive, options
+
+Law = Callable[[Array, Array], Array]
+"""Law of motion: states (..., s) and actions (..., a) -> the states one control step later, (..., s)."""
+
+
+@options
+class DelayOptions:
+    """Options of `DelayPredictor`."""
+
+    max_delay: Annotated[int, Field(ge=0, le=100)] = 5
+    """Control steps: the largest candidate."""
+    nominal: Annotated[int, Field(ge=0, le=100)] = 0
+    """Control steps: the delay before anything is identified."""
+    threshold: Positive = 3.0
+    """Evidence for another candidate at which the belief changes: a sum of errors, in units of their mean, plus 1."""
+    memory: Positive = 100.0
+    """Control steps after which evidence counts for 1 / e."""
+
+
+class DelayPredictor:
+    """Delays of n robots with the same law of motion, each identified on line.
+
+    `idle` (a,) is the action that acts before the first one arrives. `scale` (s,) is the accuracy of the law for each
+    number of a state: a deviation of a few times as much is evidence. It is infinite for numbers that do not count.
+
+    Errors grow linearly beyond the scale, so a push counts little. Noise raises the mean error, and with it the
+    evidence that a change needs.
+
+    Raises `ConfigurationError`.
+    """
+
+    def __init__(
+        self, law: Law, n: int, idle: ArrayLike, scale: ArrayLike, options: DelayOptions | None = None
+    ) -> None:
+        self.options = options or DelayOptions()
+        if self.options.nominal > self.options.max_delay:
+            raise ConfigurationError(
+                f"nominal delay should be at most max_delay ({self.options.max_delay}), not {self.options.nominal}"
+            )
+        self._law, self._idle = law, checked_array("idle", idle, np.shape(idle))
+        if not (np.asarray(scale, dtype=float) > 0).all():
+            raise ConfigurationError(f"scale should be numbers above 0, not {scale!r}")
+        self._precision = 1 / np.asarray(scale, dtype=float)
+        candidates = self.options.max_delay + 1
+        self.delay: NDArray[np.intp] = np.full(n, self.options.nominal)
+        """(n,) control steps: the delays now believed."""
+        self._sent = np.tile(self._idle, (candidates, n, 1))
+        self._previous = np.full((n, len(self._precision)), np.nan)
+        self._errors, self._readings = np.zeros((candidates, n)), np.zeros(n)
+        self._forget = float(np.exp(-1 / self.options.memory))
+
+    def reset(self, ids: NDArray[np.integer]) -> None:
+        """Forget the delays and actions of robots `ids`, which begin anew."""
+        self.delay[ids] = self.options.nominal
+        self._sent[:, ids] = self._idle
+        self._previous[ids] = np.nan
+        self._errors[:, ids] = self._readings[ids] = 0.0
+
+    def read(self, states: Array) -> None:
+        """Compare the states (n, s) with all candidates' predictions. States that are not finite tell nothing."""
+        deviations = (self._law(self._previous, self._sent) - states) * self._precision
+        errors = np.sqrt(1 + np.einsum("kni,kni->kn", deviations, deviations)) - 1
+        usable = np.isfinite(errors).all(axis=0)
+        self._errors = np.where(usable, self._forget * self._errors + errors, self._errors)
+        self._readings = np.where(usable, self._forget * self._readings + 1, self._readings)
+        self._previous = np.array(states, dtype=float)
+        robots, best = np.arange(len(self.delay)), self._errors.argmin(axis=0)
+        lowest = self._errors[best, robots]
+        excess = self._errors[self.delay, robots] - lowest
+        needed = self.options.threshold * (1 + lowest / np.maximum(self._readings, 1.0))
+        self.delay = np.where(excess > needed, best, self.delay)
+
+    def predict(self, states: Array) -> Array:
+        """Return the states (n, s) after all actions under way, from `states` (n, s): readings or estimates."""
+        states = np.array(states, dtype=float)
+        for steps in range(int(self.delay.max(initial=0)), 0, -1):
+            waiting = self.delay >= steps
+            states[waiting] = self._law(states[waiting], self._sent[steps - 1, waiting])
+        return states
+
+    def send(self, actions: Array) -> None:
+        """Remember the actions (n, a) that are sent now."""
+        self._sent = np.concatenate((actions[None], self._sent[:-1]))
+
+    def acting(self) -> Array:
+        """Return the actions (n, a) believed to have acted between the last two readings."""
+        return np.asarray(self._sent[self.delay, np.arange(len(self.delay))])
