@@ -1,6 +1,7 @@
 """Installed policies with options of their own, from TOML files."""
 
 import dataclasses
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +9,13 @@ import pytest
 
 import armctl
 from armctl.control.drive_nlp import DriveMpcOptions
-from armctl.control.reach_mpc import ReachMpcOptions
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import changed_options
+from armctl.core.registration import installed
 from armctl.envs import make_worlds
-from armctl.policies import configurations, make_policy, read_configuration
+from armctl.policies import GROUP, configurations, is_code, make_policy, read_configuration
 from armctl.policies.find import is_expert
+from armctl.report import write_report
 from armctl.runtime.identity import identity
 from armctl.study import compare
 
@@ -52,17 +54,21 @@ def test_other_options_are_another_comparison(short, tmp_path):
 
 @pytest.mark.one_case
 @pytest.mark.parametrize("name", configurations())
-def test_the_files_beside_experts_have_their_present_options(name):
+def test_the_files_beside_experts_have_their_present_options(name, monkeypatch):
     """So that a tuning begins where the expert is."""
     told = read_configuration(configurations()[name])
-    if told.policy == "reach_mpc":
-        reaching = ReachMpcOptions()
-        assert changed_options(reaching, told.options) == reaching
-    else:
-        driving = DriveMpcOptions()
-        assert changed_options(driving, told.options) == driving
+    home = import_module(installed(GROUP)[name].module)
+    changes = []
+
+    def changed(usual, values, kind):
+        changes.append((usual, changed_options(usual, values, kind)))
+        return changes[-1][1]
+
+    monkeypatch.setattr(home, "changed_options", changed)
     plain, same = compare({"plain": name, "same": str(configurations()[name])}, told.env, episodes=2).policies
     assert plain.episode_return.value == same.episode_return.value
+    assert changes
+    assert all(with_options == usual for usual, with_options in changes)
 
 
 @pytest.mark.parametrize(
@@ -104,3 +110,32 @@ def test_options_within_options_change_alone():
 def test_it_can_be_named_from_elsewhere(short, monkeypatch):
     monkeypatch.chdir(short.parent)
     assert compare([Path("short.toml").name], REACH, episodes=1).policies[0].episodes == 1
+
+
+def test_a_name_has_options(short, tmp_path):
+    named, usual = "reach_mpc:problem.horizon=4", "reach_mpc"
+    study = compare([usual, named, str(short)], REACH, episodes=3, workers=2, out=tmp_path / "results")
+    returns = {name: [one.total_reward for one in played] for name, played in study.results.by_policy().items()}
+    assert returns[named] == returns[str(short)] != returns[usual]
+    assert "named on the command line" not in write_report(tmp_path / "results", video=True).read_text()
+    assert is_expert(named)
+    assert not is_code(named)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("reach_mpc:", "NAME:OPTION=VALUE"),
+        ("reach_mpc:max_iterations", "NAME:OPTION=VALUE"),
+        ("reach_mpc:max_iterations=False", "values as in TOML"),
+        ("reach_mpc:problem.horizon=1", "horizon: input should be greater than or equal to 2, not 1"),
+        ("reach_mpc:problem.horizn=9", "Did you mean 'horizon'"),
+        ("reach_mpc:a=" + "[" * 3000, "NAME:OPTION=VALUE"),
+        ("reach_mpc:a=1,a=2", "NAME:OPTION=VALUE"),
+        ("random:prepared=true", "takes no options"),
+        ("reach_mcp:prepared=true", "cannot load"),
+    ],
+)  # fmt: skip
+def test_wrong_options_in_a_name_are_refused(name, message):
+    with pytest.raises(ConfigurationError, match=message):
+        make_policy(name, make_worlds(REACH, 1))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armctl.cli.app import command
-from armctl.cli.completion import environments, robots
+from armctl.cli.completion import environments, policies, robots
 from armctl.cli.options import checked_env
 from armctl.core.errors import ConfigurationError
 
@@ -40,6 +40,10 @@ def list_(
         typer.Option("--robot", metavar="ROBOT", help="Show all about this robot.", autocompletion=robots),
     ] = None,
     tip: Annotated[str | None, typer.Option("--tip", metavar="LINK", help="End-effector of the robot's file.")] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option("--policy", metavar="NAME", help="Show all about this policy.", autocompletion=policies),
+    ] = None,
 ) -> None:
     """List the tasks with their policies: expert or agent, what each sees, and what it controls.
 
@@ -48,12 +52,17 @@ def list_(
 
     With `--robot ROBOT`, a name or the path of a URDF file: its joints with their limits, its home, and notes about all
     that was repaired, left out or assumed.
+
+    With `--policy NAME`: what an installed policy is made for, sees and controls, and its options with their defaults
+    and the ranges in which `armctl tune` looks for better ones.
     """
     from armctl.report.terminal import output_console
 
     console, parts = output_console(), [] if env is None else [*_environment(env)]
     if robot is not None:
         parts += _robot(robot, tip)
+    if policy is not None:
+        parts += _policy(policy)
     for part in parts or _everything():
         console.print(part, highlight=False)
 
@@ -163,6 +172,26 @@ def _robot(robot: str, tip: str | None) -> Iterable["RenderableType"]:
     _add_rows(table, "joints", joints)
     _add_rows(table, "notes", (("", note) for note in arm.notes or ("none",)))
     yield table
+
+
+def _policy(name: str) -> Iterable["RenderableType"]:
+    from rich.syntax import Syntax
+
+    from armctl.core.errors import unknown_name
+    from armctl.core.foresight import FORESIGHT
+    from armctl.policies import configurations
+    from armctl.policies.catalogue import listed_policies
+
+    policies = {policy.name: policy for policy in listed_policies()}
+    if name not in policies:
+        raise unknown_name("policy", name, policies)
+    policy, file = policies[name], configurations().get(name)
+    sees = " + ".join([policy.sees, *(FORESIGHT[future] for future in policy.foresight)])
+    rows = [("policy", name), ("", policy.summary), ("kind", policy.kind), ("made for", policy.envs), ("sees", sees)]
+    yield _grid_of([*rows, ("controls", policy.controls), ("options", "none" if file is None else "")])
+    if file is not None:
+        yield Syntax(file.read_text("utf-8").rstrip(), "toml", theme="ansi_light", background_color="default")
+        yield f"Change some by name, armctl compare {name} {name}:OPTION=VALUE, or save this as a file and name that."
 
 
 def _options(described: "Iterable[OptionDescription]") -> Iterator[tuple[str, str]]:

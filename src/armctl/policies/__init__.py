@@ -11,6 +11,7 @@ if TYPE_CHECKING:
         PolicyConfiguration,
         configurations,
         configured,
+        is_code,
         read_configuration,
     )
     from armctl.policies.declare import made_for, sees
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
 __all__ = [
     "GROUP", "SUFFIX", "UNSKILLED", "Actions", "Controller", "ControllersFailed", "PerWorld", "Plans", "Policy",
     "PolicyConfiguration", "PolicyFactory", "WorldsByInterface", "agent_cards", "check_policy_name",
-    "configurations", "configured", "declared_sees", "describe_policy", "expanded", "is_seed_group", "isolation",
-    "learners", "made_for", "make_policy", "named_policies", "policy_name", "policy_names", "privileges",
+    "configurations", "configured", "declared_sees", "describe_policy", "expanded", "is_code", "is_seed_group",
+    "isolation", "learners", "made_for", "make_policy", "named_policies", "policy_name", "policy_names", "privileges",
     "read_configuration", "sees", "training_card",
 ]  # fmt: skip
 

@@ -6,12 +6,15 @@
     [options.problem]
     horizon = 12
 
+The same without a file: `armctl compare reach_mpc reach_mpc:problem.horizon=12`.
+
 A policy takes options if the function that makes it has a parameter `options`, a mapping. Which ones these are, it says
 itself. A file beside the function's module, of the policy's name, may list them, with a search space for `armctl tune`.
 """
 
 import functools
 import inspect
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,7 +39,7 @@ class PolicyConfiguration(BaseModel):
 
     policy: str
     env: str
-    """The environment for which the options were chosen."""
+    """The environment for which the options were chosen; `*` of options in a policy's name."""
     env_options: dict[str, Any] = {}
     options: dict[str, Any] = {}
     tune: dict[str, Any] = {}
@@ -55,10 +58,39 @@ class PolicyConfiguration(BaseModel):
 
 
 def configured(policy: Any) -> PolicyConfiguration | None:
-    """Return the configuration in the file `policy`; None for other policies. Raises `ConfigurationError`."""
-    if isinstance(policy, (str, Path)) and Path(policy).suffix == SUFFIX:
+    """Return the configuration in the file `policy`, or in a name such as `reach_mpc:problem.horizon=12`.
+
+    None for other policies. Raises `ConfigurationError`.
+    """
+    if not isinstance(policy, (str, Path)):
+        return None
+    if Path(policy).suffix == SUFFIX:
         return read_configuration(Path(policy))
-    return None
+    name, colon, text = str(policy).partition(":")
+    if not colon or name not in installed(GROUP).names:
+        return None
+    return PolicyConfiguration(policy=name, env="*", options=_options_in(str(policy), text))
+
+
+def is_code(policy: str) -> bool:
+    """Return True for the name of code, `module:name`, and not of an installed policy with options."""
+    return ":" in policy and configured(policy) is None
+
+
+def _options_in(policy: str, text: str) -> dict[str, Any]:
+    """Return the options in a policy's name: the content of an inline table of TOML, such as `a=1,b.c=false`."""
+    try:
+        options: dict[str, Any] = tomllib.loads(f"options = {{{text}}}")["options"]
+    except (ValueError, RecursionError) as error:
+        options, reason = {}, f" ({error})"
+    else:
+        reason = ""
+    if not options:
+        raise ConfigurationError(
+            f"{policy} is read as a policy with options, NAME:OPTION=VALUE,OPTION=VALUE, with values as in TOML: "
+            f"true, 12, 0.5, 'text', [1, 2]{reason}"
+        )
+    return options
 
 
 def read_configuration(file: Path) -> PolicyConfiguration:

@@ -69,7 +69,8 @@ def make_policy(
 
     - the name of an installed policy;
     - the path of a learned agent's `.json` card or `.onnx` graph, or of a folder with `agent.json`;
-    - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configuration`);
+    - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configuration`), or these
+      after its name, `reach_mpc:problem.horizon=12`;
     - `NAME[SEED]`, one training of a recipe (see `armctl.policies.trainings`);
     - a function of one world's observation that returns an action;
     - a class with `act(observation)`, and `reset()` if it has memory. Each world gets an instance, made without

@@ -13,6 +13,7 @@ from armctl.core.registration import import_attribute, remember_named
 from armctl.envs import full_id
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.stored import UNDISTURBED
+from armctl.policies import is_code
 from armctl.report import style
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
@@ -50,7 +51,7 @@ def write_report(
     """
     if env is not None:
         remember_named(full_id(env))
-    for name in filter(lambda policy: ":" in policy, policies):
+    for name in filter(is_code, policies):
         import_attribute(name, "policy")
     folder = Path(folder)
     if not os.path.isdir(folder):  # also for a name that no folder can have

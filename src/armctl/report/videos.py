@@ -18,6 +18,7 @@ from armctl.core.registration import check_named
 from armctl.envs import ThirdPartyVectorEnv, check_from_file
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable
+from armctl.policies import is_code
 from armctl.simulation.rendering import Camera
 from armctl.study.comparison import Comparison
 from armctl.viewer.recording import check_frames
@@ -118,7 +119,7 @@ def _play(comparison: Comparison, result: EpisodeResult, stride: int) -> _Record
     """Play an episode again, with an image at every `stride`-th control step and at the end."""
     name = result.policy
     check_from_file(comparison.env, comparison.env_options, "the comparison")
-    if Path(name).suffix not in agents.FILES:
+    if Path(name).suffix not in agents.FILES and is_code(name):
         check_named(name, "the comparison", "--policy")
     with (
         closing(

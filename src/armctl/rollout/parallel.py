@@ -19,7 +19,7 @@ from armctl.envs import EpisodeVectorEnv
 from armctl.envs.find import maker_in_script
 from armctl.episodes.failures import FirstEpisodes, PolicyDisqualified, PolicyFailed, until_unplayable
 from armctl.episodes.record import EpisodeResult
-from armctl.policies import Policy, PolicyFactory, WorldsByInterface, configured
+from armctl.policies import SUFFIX, Policy, PolicyFactory, WorldsByInterface, is_code
 from armctl.policies.trainings import training_card
 from armctl.rollout.decision_times import TimedPolicy
 from armctl.rollout.loop import build_timed, rollouts
@@ -287,16 +287,16 @@ def _for_sending(
 
 def _file_named(name: str) -> list[Path]:
     """Return the file of `path/to/file.py:NAME` or `path/to/options.toml`, none of another name."""
-    if configured(name) is not None:
-        return [Path(name)]
-    path = Path(name.rpartition(":")[0])
-    return [path] if path.suffix == ".py" else []
+    path = Path(name)
+    if path.suffix != SUFFIX:
+        path = Path(name.rpartition(":")[0])
+    return [path] if path.suffix in (SUFFIX, ".py") else []
 
 
 def _identity_elsewhere(setting: Setting, name: str, actor: Policy, worlds: EpisodeVectorEnv) -> dict[str, Any]:
     """Return what determines a policy's episodes, without what is sent: own code and objects."""
     config, policy = setting.config, setting.policies[name]
     complete = identity(config.env, config.env_options, config.seed, {name: policy}, {name: actor}, worlds)
-    installed = isinstance(policy, str) and ":" not in policy and ":" not in config.env
+    installed = isinstance(policy, str) and not is_code(policy) and ":" not in config.env
     sent = {"objects", "makers", LOADED} | (set() if installed else {"code", "registered", "constants"})
     return {key: value for key, value in complete.items() if key not in sent}
