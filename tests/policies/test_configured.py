@@ -112,6 +112,7 @@ def test_it_can_be_named_from_elsewhere(short, monkeypatch):
     assert compare([Path("short.toml").name], REACH, episodes=1).policies[0].episodes == 1
 
 
+@pytest.mark.slow
 def test_a_name_has_options(short, tmp_path):
     named, usual = "reach_mpc:problem.horizon=4", "reach_mpc"
     study = compare([usual, named, str(short)], REACH, episodes=3, workers=2, out=tmp_path / "results")

@@ -8,7 +8,7 @@ from scipy import stats
 
 from armctl.episodes.table import EpisodeTable
 from armctl.stats.correction import holm
-from armctl.stats.difference import paired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.intervals import bounded_difference
 from armctl.stats.paired import mover
 from armctl.stats.power import episodes_to_show_equivalence
@@ -22,7 +22,7 @@ def test_mcnemar_is_exact_and_counts_pairs():
     a = np.array([True] * 8 + [False] * 2 + [True] * 5 + [False] * 3)
     b = np.array([False] * 8 + [True] * 2 + [True] * 5 + [False] * 3)
     zeros = np.zeros(18)
-    pair = paired_difference("a", "b", (a, b), (zeros + 2, zeros), (zeros + 7, zeros + 4), (0.0, 2.0), 10)
+    pair = difference_between("a", "b", Scores((a, b), (zeros + 2, zeros), (zeros + 7, zeros + 4), (0.0, 2.0), 10))
     assert (pair.both_won, pair.only_a, pair.only_b, pair.neither) == (5, 8, 2, 3)
     assert pair.success_p == pytest.approx(2 * (1 + 10 + 45) / 2**10)
     assert pair.return_difference.value == 2
@@ -31,7 +31,7 @@ def test_mcnemar_is_exact_and_counts_pairs():
 
 def test_equal_policies_do_not_differ():
     won = np.array([True, False, True])
-    pair = paired_difference("a", "b", (won, won), (won * 1.0, won * 1.0), None, (0.0, 1.0))
+    pair = difference_between("a", "b", Scores((won, won), (won * 1.0, won * 1.0), None, (0.0, 1.0)))
     assert pair.success_p == 1
     assert pair.return_difference.value == 0
 
@@ -41,7 +41,7 @@ def test_mcnemar_against_agresti():
     # minds, z = -4.17. Exact: the binomial tail, added up here in whole numbers.
     a = np.repeat([True, True, False, False], [794, 150, 86, 570])
     b = np.repeat([True, False, True, False], [794, 150, 86, 570])
-    pair = paired_difference("a", "b", (a, b), (a * 1.0, b * 1.0), None, (0.0, 1.0))
+    pair = difference_between("a", "b", Scores((a, b), (a * 1.0, b * 1.0), None, (0.0, 1.0)))
     exact = 2 * sum(math.comb(236, k) for k in range(87)) / 2**236
     assert (pair.only_a, pair.only_b) == (150, 86)
     assert pair.success_p == pytest.approx(exact)
@@ -94,7 +94,7 @@ def test_exact_coverage_where_tangos_interval_missed_on_one_side(n, shares):
 def pair_of(only_a, only_b, episodes):
     a = np.arange(episodes) < only_a
     b = np.arange(episodes) >= episodes - only_b
-    return paired_difference("a", "b", (a, b), (a * 1.0, b * 1.0), None, (0.0, 1.0))
+    return difference_between("a", "b", Scores((a, b), (a * 1.0, b * 1.0), None, (0.0, 1.0)))
 
 
 def test_equivalence_takes_episodes():
@@ -156,15 +156,15 @@ def test_groups_are_compared_in_success_return_and_steps_over_their_trainings():
     rng = np.random.default_rng(0)
     won = (rng.random((3, 40)) < 0.9).astype(float), np.ones((1, 40))
     steps = np.where(won[0] == 1, 20.0, 100.0), np.full((1, 40), 15.0)
-    pair = paired_difference("g[*]", "b", won, won, steps, (0.0, 1.0), 100)
+    pair = difference_between("g[*]", "b", Scores(won, won, steps, (0.0, 1.0), 100))
     expected = difference_over_trainings(*steps, (1.0, 100.0))
     assert (pair.steps_difference, pair.steps_p) == (expected.estimate, expected.p)
     assert (pair.return_difference, pair.return_p) == (pair.crossed.estimate, pair.crossed.p)
     for unknown in ((None, 100), (steps, None)):
-        other = paired_difference("g[*]", "b", won, won, unknown[0], (0.0, 1.0), unknown[1])
+        other = difference_between("g[*]", "b", Scores(won, won, unknown[0], (0.0, 1.0), unknown[1]))
         assert (other.steps_difference, other.steps_p, other.simultaneous.steps) == (None, None, None)
     failed = np.where(np.arange(40) == 7, -np.inf, won[0]), won[1]
-    lost = paired_difference("g[*]", "b", won, failed, steps, (0.0, 1.0), 100)
+    lost = difference_between("g[*]", "b", Scores(won, failed, steps, (0.0, 1.0), 100))
     assert np.isnan(lost.return_difference.value)
     assert lost.superiority.probability.value < 0.5
 
@@ -174,9 +174,9 @@ def test_a_reversed_pair_is_that_of_the_second_against_the_first(trainings):
     rng = np.random.default_rng(0)
     won = (rng.random((trainings, 60)) < 0.9).astype(float), (rng.random((1, 60)) < 0.6).astype(float)
     steps = np.where(won[0] == 1, 20.0, 100.0), np.where(won[1] == 1, 20.0, 100.0)
-    pair = paired_difference("a", "b", won, won, steps, (0.0, 1.0), 100, 3)
+    pair = difference_between("a", "b", Scores(won, won, steps, (0.0, 1.0), 100), 3)
     swapped = won[1], won[0]
-    other = paired_difference("b", "a", swapped, swapped, (steps[1], steps[0]), (0.0, 1.0), 100, 3)
+    other = difference_between("b", "a", Scores(swapped, swapped, (steps[1], steps[0]), (0.0, 1.0), 100), 3)
     found = pair.reversed()
     back = found.reversed()
     assert (back.a, back.crossed, back.return_difference) == (pair.a, pair.crossed, pair.return_difference)
@@ -197,7 +197,7 @@ def interval(estimate):
 
 def test_where_success_is_unknown_nothing_is_known_of_it():
     scores = np.arange(20.0)
-    pair = paired_difference("a", "b", None, (scores, scores[::-1]), None, None)
+    pair = difference_between("a", "b", Scores(None, (scores, scores[::-1])))
     assert (pair.success_difference, pair.steps_difference, pair.reversed().steps_difference) == (None, None, None)
     assert (pair.success_p, pair.return_p, pair.return_difference.low) == (None, None, None)
     assert not pair.equivalent(0.9)

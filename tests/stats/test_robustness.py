@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.stats.difference import paired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.intervals import Estimate, Superiority, success_rate
 from armctl.stats.paired import mcnemar
 from armctl.stats.robustness import NEUTRAL, Onset, degradations, robustness_headline, robustness_rankings
 
 N = 50
-LIKE = paired_difference("a", "b", (np.ones(1), np.ones(1)), (np.ones(1), np.ones(1)), None, None)
+LIKE = difference_between("a", "b", Scores((np.ones(1), np.ones(1)), (np.ones(1), np.ones(1))))
 
 
 def pair_of(p, lead, a="a", b="b"):

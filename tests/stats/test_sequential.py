@@ -7,8 +7,8 @@ import pytest
 from scipy.special import betaln
 
 from armctl.stats import sequential
-from armctl.stats.difference import paired_difference
-from armctl.stats.sequential import NODES, PRIOR, ConfidenceSequence, Scores, block_ends, sequential_difference
+from armctl.stats.difference import Scores, difference_between
+from armctl.stats.sequential import NODES, PRIOR, ConfidenceSequence, block_ends, sequential_difference
 
 SIGNS = (-1.0, 1.0)
 
@@ -130,8 +130,8 @@ def pair_of(num_comparisons=1, bounds=(-100.0, 99.0), seed=0):
     won: Any = (rng.random(200) < 0.99, rng.random(200) < 0.8)
     steps: Any = tuple(np.where(of, rng.integers(10, 20, 200), 100).astype(float) for of in won)
     returns: Any = tuple(np.where(of, 99 - step, -100.0) for of, step in zip(won, steps, strict=True))
-    fixed = paired_difference("a", "b", won, returns, steps, bounds, 100, num_comparisons)
-    return sequential_difference("a", "b", Scores(won, returns, steps), bounds, 100, num_comparisons), fixed
+    fixed = difference_between("a", "b", Scores(won, returns, steps, bounds, 100), num_comparisons)
+    return sequential_difference("a", "b", Scores(won, returns, steps, bounds, 100), num_comparisons), fixed
 
 
 def test_a_difference_has_the_same_values_as_that_of_fixed_tests_and_wider_intervals():
@@ -167,7 +167,7 @@ def test_intervals_of_several_pairs_are_wider_and_unknown_bounds_stay_unknown():
 
 def test_a_policy_that_failed_at_an_unknown_cost_has_no_mean_return():
     returns = np.array([-math.inf, 1.0, 2.0]), np.array([-math.inf, 1.0, 1.0])
-    pair = sequential_difference("a", "b", Scores(None, returns, None), None, None)
+    pair = sequential_difference("a", "b", Scores(None, returns, None))
     assert math.isnan(pair.return_difference.value)
     assert (pair.success_p, pair.anytime, pair.steps_p) == (None, None, None)
     assert pair.superiority.probability.value == pytest.approx(2 / 3)

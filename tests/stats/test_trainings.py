@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from armctl.stats import intervals as statistics
-from armctl.stats.difference import EQUIVALENCE, paired_difference
+from armctl.stats.difference import EQUIVALENCE, Scores, difference_between
 from armctl.stats.trainings import (
     difference_over_trainings,
     interquartile_mean,
@@ -224,10 +224,8 @@ def test_two_groups_have_welchs_degrees_of_freedom():
 @pytest.mark.parametrize("num_comparisons", [1, 3, 10])
 def test_equivalence_of_groups_is_corrected_for_the_number_of_claims(num_comparisons):
     won, other = np.ones((4, 300)), np.ones((1, 300))
-    single = paired_difference("a", "b", (won, other), (9 * won, other), None, (0.0, 9.0))
-    pair = paired_difference(
-        "a", "b", (won, other), (9 * won, other), None, (0.0, 9.0), num_comparisons=num_comparisons
-    )
+    single = difference_between("a", "b", Scores((won, other), (9 * won, other), None, (0.0, 9.0)))
+    pair = difference_between("a", "b", Scores((won, other), (9 * won, other), None, (0.0, 9.0)), num_comparisons)
     # Two tests at 5 % / num_comparisons: one more training of a fails with a probability of 1 - level^(1/4).
     level = EQUIVALENCE / num_comparisons
     assert -pair.crossed.ci90.low == pytest.approx(1 - level ** (1 / 4), abs=0.03)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from armctl.stats import intervals
-from armctl.stats.difference import paired_difference, unpaired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.intervals import bounded_sum
 from armctl.stats.paired import combined
 from armctl.stats.trainings import difference_over_trainings, superiority_over_trainings
@@ -176,9 +176,10 @@ def test_superiority_counts_all_pairs(a, b):
     assert superiority_over_trainings(a[None], a[None], paired=False)[0].p == 1
 
 
-def difference_of(a, b, returns=None, steps=None, **known):
+def difference_of(a, b, returns=None, steps=None, num_comparisons=1):
     returns = returns or tuple(np.asarray(won, dtype=float) for won in (a, b))
-    return unpaired_difference("a", "b", (a, b), returns, steps, (0.0, 1.0), 100, **known)
+    scores = Scores((a, b), returns, steps, (0.0, 1.0), 100)
+    return difference_between("a", "b", scores, num_comparisons, paired=False)
 
 
 def test_a_difference_without_pairs_has_wins_of_each_and_nothing_of_pairs():
@@ -210,11 +211,11 @@ def test_equal_samples_do_not_differ():
 
 def test_unknown_bounds_and_a_single_episode_conclude_nothing_of_means():
     scores = (np.array([3.0]), np.array([1.0, 2.0]))
-    found = unpaired_difference("a", "b", None, scores, None, None)
+    found = difference_between("a", "b", Scores(None, scores), paired=False)
     assert (found.success_p, found.success_difference, found.return_p, found.steps_difference) == (None,) * 4
     assert found.return_difference.bounds == pytest.approx((np.nan, np.nan), nan_ok=True)
     assert found.superiority.p > 0.05
-    crashed = unpaired_difference("a", "b", None, (np.array([-np.inf, 1.0]), np.ones(3)), None, None)
+    crashed = difference_between("a", "b", Scores(None, (np.array([-np.inf, 1.0]), np.ones(3))), paired=False)
     assert np.isnan(crashed.return_difference.value)
     assert crashed.superiority.probability.value == 0.25
 
@@ -222,7 +223,7 @@ def test_unknown_bounds_and_a_single_episode_conclude_nothing_of_means():
 def test_groups_of_trainings_on_different_episodes():
     rng = np.random.default_rng(0)
     group, single = (rng.random((8, 60)) < 0.9).astype(float), (rng.random(90) < 0.2).astype(float)
-    found = unpaired_difference("g[*]", "b", (group, single), (group, single), None, (0.0, 1.0))
+    found = difference_between("g[*]", "b", Scores((group, single), (group, single), None, (0.0, 1.0)), paired=False)
     assert found.crossed is not None
     assert found.success_p == found.crossed.p < 0.05
     assert found.sample_sizes == (60, 90)
@@ -241,6 +242,6 @@ def test_without_pairs_a_test_of_hardness_finds_less(share):
     rng = np.random.default_rng(0)
     hard = rng.random(300) < share
     won = (~hard).astype(float), (~hard & (rng.random(300) < 0.96)).astype(float)
-    pair, apart = (build("a", "b", won, won, None, None) for build in (paired_difference, unpaired_difference))
+    pair, apart = (difference_between("a", "b", Scores(won, won), paired=paired) for paired in (True, False))
     assert pair.success_difference.value == pytest.approx(apart.success_difference.value)
     assert pair.success_p < apart.success_p

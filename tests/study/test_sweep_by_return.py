@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.stats.difference import paired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.robustness import FALSE_DISCOVERY_RATE, Onset, change_between, degradations, robustness_rankings
 from armctl.stats.trainings import FEWEST_TRAININGS
 
@@ -132,7 +132,7 @@ def test_nobody_is_behind_who_has_the_higher_return_more_often():
     both = frozenset("ab")
     for _ in range(20):
         gains = np.where(rng.random(EPISODES) < 0.05, -2000.0, 1.0)
-        pair = paired_difference("a", "b", None, (np.zeros(EPISODES), gains), None, (-2000.0, 1.0))
+        pair = difference_between("a", "b", Scores(None, (np.zeros(EPISODES), gains), None, (-2000.0, 1.0)))
         (noise,) = robustness_rankings(table, {("none", 0.0, both): pair, ("noise", 1.0, both): pair})
         assert (noise.first, noise.leads, noise.score) == ("b", True, "share of higher returns")
         assert noise.worse == {"a": Onset(0.0)}

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 
 from armctl.agents.costs import TrainingCost
-from armctl.stats.difference import paired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.intervals import success_rate
 from armctl.verdict.sentences import verdict
 from armctl.verdict.summary import PolicySummary
@@ -46,20 +46,24 @@ def text_of(*args, **options):
 LIMIT = 100
 
 
-def played(wins, episodes=400, steps=None, returns=None, compare=paired_difference):
+def played(wins, episodes=400, steps=None, returns=None, paired=True):
     """Summaries and pairs of policies that won these episodes, in so many steps (their numbers, or those of each)."""
     won = {name: np.isin(np.arange(episodes), list(numbers)) for name, numbers in wins.items()}
-    return compared(won, steps, returns, compare)
+    return compared(won, steps, returns, paired)
 
 
-def compared(won, steps=None, returns=None, compare=paired_difference):
+def compared(won, steps=None, returns=None, paired=True):
     earned = returns or {name: of * 1.0 for name, of in won.items()}
     late = steps and {name: np.where(of, steps[name], LIMIT) for name, of in won.items()}
     couples = list(itertools.combinations(won, 2))
     num = len(couples)
     pairs = [
-        compare(
-            a, b, (won[a], won[b]), (earned[a], earned[b]), (late[a], late[b]) if late else None, (0, 1), LIMIT, num
+        difference_between(
+            a,
+            b,
+            Scores((won[a], won[b]), (earned[a], earned[b]), (late[a], late[b]) if late else None, (0, 1), LIMIT),
+            num,
+            paired=paired,
         )
         for a, b in couples
     ]

@@ -8,7 +8,7 @@ import pytest
 
 import armctl
 from armctl.core.errors import ConfigurationError
-from armctl.stats.difference import paired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.intervals import Estimate
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.verdict.sentences import verdict
@@ -180,7 +180,7 @@ def test_earlier_looks_are_a_part_of_the_sentence():
 
 def test_without_bounds_of_returns_the_sign_test_speaks():
     returns = {"bold": np.where(np.arange(100) < 71, 1.0, -500.0), "timid": np.zeros(100)}
-    pair = paired_difference("bold", "timid", None, (returns["bold"], returns["timid"]), None, (-500.0, 1.0))
+    pair = difference_between("bold", "timid", Scores(None, (returns["bold"], returns["timid"]), None, (-500.0, 1.0)))
     unknown = dataclasses.replace(
         pair, return_p=None, return_difference=dataclasses.replace(pair.return_difference, low=None, high=None),
         simultaneous=dataclasses.replace(pair.simultaneous, returns=Estimate(-144.3, None, None)),
@@ -197,14 +197,14 @@ def test_without_bounds_of_returns_the_sign_test_speaks():
         looked = verdict(policies, pairs, looks=[50]).result
         assert looked.startswith(f"{sentence}; after an earlier look at 50 episodes, p is")
     even = np.where(np.arange(100) < 55, 1.0, -500.0)
-    close = paired_difference("timid", "bold", None, (returns["timid"], even), None, (-500.0, 1.0))
+    close = difference_between("timid", "bold", Scores(None, (returns["timid"], even), None, (-500.0, 1.0)))
     text = text_of(summaries, [dataclasses.replace(close, return_p=None)])
     assert text.startswith(
         "Undecided between bold and timid: bold has the higher return in 55 % [45, 65] of episodes (sign"
     )
     assert "earns" not in text_of(summaries, [unknown])
-    third = paired_difference("bold", "third", None, (returns["bold"], returns["timid"]), None, None)
-    among = [unknown, third, paired_difference("timid", "third", None, (returns["timid"],) * 2, None, None)]
+    third = difference_between("bold", "third", Scores(None, (returns["bold"], returns["timid"])))
+    among = [unknown, third, difference_between("timid", "third", Scores(None, (returns["timid"],) * 2))]
     best = dataclasses.replace(summaries[0], episode_return=Estimate(1.0, None, None))
     text = text_of([best, summaries[1], dataclasses.replace(summaries[1], policy="third")], among)
     assert text.startswith("bold has the higher return in 71 % [")
@@ -213,7 +213,7 @@ def test_without_bounds_of_returns_the_sign_test_speaks():
 
 def test_a_share_just_above_one_half_is_told_as_shown():
     won = np.where(np.arange(1000) < 532, 1.0, -1.0)
-    pair = paired_difference("bold", "timid", None, (won, np.zeros(1000)), None, (-1.0, 1.0))
+    pair = difference_between("bold", "timid", Scores(None, (won, np.zeros(1000)), None, (-1.0, 1.0)))
     summaries = [
         dataclasses.replace(summary_of(name, np.ones(1000, dtype=bool)), success=None) for name in ("bold", "timid")
     ]

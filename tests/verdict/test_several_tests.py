@@ -10,7 +10,7 @@ from scipy import stats
 
 from armctl.agents.costs import TrainingCost
 from armctl.stats.correction import holm, holm_adjusted
-from armctl.stats.difference import Difference, Simultaneous, paired_difference
+from armctl.stats.difference import Difference, Scores, Simultaneous, difference_between
 from armctl.stats.intervals import Estimate, Superiority
 from armctl.stats.paired import mover
 from armctl.verdict.sentences import verdict_pairs
@@ -127,7 +127,9 @@ def test_the_best_of_many_is_not_equivalent_for_being_the_best():
         won = ease < stats.norm.ppf([0.98, *[0.96] * 5])[:, None]
         names = ["reach_ik", *AGENTS]
         pairs = [
-            paired_difference(names[i], names[j], (won[i], won[j]), (won[i] * 1.0, won[j] * 1.0), None, (0.0, 1.0))
+            difference_between(
+                names[i], names[j], Scores((won[i], won[j]), (won[i] * 1.0, won[j] * 1.0), None, (0.0, 1.0))
+            )
             for i, j in itertools.combinations(range(6), 2)
         ]
         text = text_of([summary_of(name, of) for name, of in zip(names, won, strict=True)], pairs)
@@ -139,7 +141,7 @@ def test_verdicts_by_return_are_corrected_for_their_number():
     gain = np.where(np.arange(200) < 118, 0.5, -0.5)
     returns = {"a": gain, "b": np.zeros(200), "c": np.zeros(200), "d": np.zeros(200)}
     pairs = [
-        paired_difference(a, b, None, (returns[a], returns[b]), None, (-1.0, 1.0))
+        difference_between(a, b, Scores(None, (returns[a], returns[b]), None, (-1.0, 1.0)))
         for a, b in itertools.combinations(returns, 2)
     ]
     first = pairs[0]

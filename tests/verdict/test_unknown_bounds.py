@@ -12,7 +12,7 @@ from armctl.episodes.record import EpisodeResult
 from armctl.episodes.table import EpisodeTable
 from armctl.report.page import _command
 from armctl.stats.correction import holm_adjusted
-from armctl.stats.difference import paired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.intervals import Estimate, bounded_mean, median, worst_decile
 from armctl.study.results import read_comparison
 from armctl.verdict.summary import summarise
@@ -96,7 +96,7 @@ def test_with_stated_bounds_intervals_hold_and_the_worse_is_not_told_to_earn_mor
     for _ in range(runs):
         careful, bold = returns(rng, 0), returns(rng, 1)
         mean = bounded_mean(bold, BOUNDS)
-        pair = paired_difference("bold", "careful", None, (bold, careful), None, BOUNDS)
+        pair = difference_between("bold", "careful", Scores(None, (bold, careful), None, BOUNDS))
         misses += not mean.low <= TRUTH <= mean.high
         misses += not pair.return_difference.low <= TRUTH <= pair.return_difference.high
         wrong += pair.return_difference.low > 0
@@ -130,7 +130,7 @@ def test_bounds_decide_whether_a_mean_of_returns_has_an_interval():
 def test_groups_of_trainings_are_no_exception():
     rng = np.random.default_rng(0)
     several, single = np.stack([returns(rng, 1) for _ in range(3)]), returns(rng, 0)[None]
-    pair = paired_difference("g[*]", "b", None, (several, single), None, None)
+    pair = difference_between("g[*]", "b", Scores(None, (several, single)))
     assert pair.return_difference.value == pytest.approx(several.mean() - single.mean())
     assert (pair.return_difference.low, pair.return_difference.high) == (None, None)
     assert pair.return_p is None

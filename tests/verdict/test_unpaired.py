@@ -8,7 +8,7 @@ import pytest
 
 from armctl.episodes.table import EpisodeTable
 from armctl.stats.correction import holm_adjusted
-from armctl.stats.difference import unpaired_difference
+from armctl.stats.difference import Scores, difference_between
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.stats.unpaired import unconditional
 from armctl.study.results import _FACTS
@@ -22,7 +22,7 @@ from .test_unknown_bounds import episodes
 
 
 def separate(wins, **known):
-    return played(wins, compare=unpaired_difference, **known)
+    return played(wins, paired=False, **known)
 
 
 def test_a_winner_is_one_on_different_episodes():
@@ -58,13 +58,13 @@ def test_equivalence_and_what_would_resolve_a_difference():
 def test_without_success_the_higher_return_is_a_probability():
     rng = np.random.default_rng(0)
     returns = rng.normal(1, 1, 60), rng.normal(0, 3, 90)
-    pair = unpaired_difference("bold", "timid", None, returns, None, None)
+    pair = difference_between("bold", "timid", Scores(None, returns), paired=False)
     policies = [summary_of(name, np.ones(60)) for name in ("bold", "timid")]
     said = text_of(policies, [pair])
     assert "has the higher return with a probability of" in said
     assert "(on different episodes, p = " in said
     assert "sign test" not in said + difference_table([pair]).caption
-    bounded = unpaired_difference("bold", "timid", None, returns, None, (-20.0, 20.0))
+    bounded = difference_between("bold", "timid", Scores(None, returns, None, (-20.0, 20.0)), paired=False)
     assert "(on different episodes" in text_of(policies, [bounded])
 
 
@@ -92,6 +92,6 @@ def test_facts_of_older_stores_are_of_pairs():
 @pytest.mark.parametrize("won", [0, 40])
 def test_nobody_or_everybody_wins(won):
     wins = np.arange(40) < won
-    policies, pairs = compared({"reach_ik": wins, "reach_ppo": wins}, compare=unpaired_difference)
+    policies, pairs = compared({"reach_ik": wins, "reach_ppo": wins}, paired=False)
     assert verdict(policies, pairs).result.startswith("Undecided")
     assert ", p = 1 (on different episodes" in verdict(policies, pairs).result

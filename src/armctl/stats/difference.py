@@ -182,69 +182,45 @@ def significant(difference: Estimate, p: float | None) -> bool:
     return p is not None and p < SIGNIFICANT and (low > 0 or high < 0)
 
 
-def paired_difference(
-    a: str,
-    b: str,
-    success: tuple[Array, Array] | None,
-    returns: tuple[Array, Array],
-    steps: tuple[Array, Array] | None,
-    return_bounds: Bounds | None,
-    time_limit: int | None = None,
-    num_comparisons: int = 1,
-) -> Difference:
-    """Compare two policies, or learners of several trainings each, on the same episodes.
+Pair = tuple[Array, Array]
+"""Scores of two policies."""
 
-    Scores are arrays (episodes,) or (trainings, episodes), whose columns are the same episodes; there is at least one.
-    `success` is None if it is unknown, `steps` are the restricted steps to the goal. `return_bounds` are those of each
-    policy's return, None if they are unknown. The simultaneous intervals hold for `num_comparisons` pairs.
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of two policies, each (episodes,) or (trainings, episodes), of at least one episode."""
+
+    success: Pair | None
+    """None if it is unknown."""
+    returns: Pair
+    steps: Pair | None = None
+    """Restricted steps to the goal; None without a time limit."""
+    return_bounds: Bounds | None = None
+    """Those of each policy's return; None if they are unknown."""
+    time_limit: int | None = None
+
+
+def difference_between(a: str, b: str, scores: Scores, num_comparisons: int = 1, *, paired: bool = True) -> Difference:
+    """Compare two policies, or learners of several trainings each, on the same episodes, or on different ones.
+
+    If they are `paired`, columns of both are the same episodes, in the same order. The simultaneous intervals hold for
+    `num_comparisons` pairs.
     """
-    scores = success, returns, steps
-    return _difference_between((a, b), scores, (return_bounds, time_limit), num_comparisons, paired=True)
-
-
-def unpaired_difference(
-    a: str,
-    b: str,
-    success: tuple[Array, Array] | None,
-    returns: tuple[Array, Array],
-    steps: tuple[Array, Array] | None,
-    return_bounds: Bounds | None,
-    time_limit: int | None = None,
-    num_comparisons: int = 1,
-) -> Difference:
-    """Compare two policies, or learners of several trainings each, on different episodes, of any number each.
-
-    Arguments are those of `paired_difference`, but columns of both sides are different episodes.
-    """
-    scores = success, returns, steps
-    return _difference_between((a, b), scores, (return_bounds, time_limit), num_comparisons, paired=False)
-
-
-_Scores = tuple[Array, Array]
-
-
-def _difference_between(
-    names: tuple[str, str],
-    scores: tuple[_Scores | None, _Scores, _Scores | None],
-    limits: tuple[Bounds | None, int | None],
-    num_comparisons: int,
-    paired: bool,
-) -> Difference:
-    wide = 1 - UNCERTAINTY / num_comparisons
-    (success, returns, steps), (return_bounds, time_limit) = scores, limits
-    returns = _tables(returns)
+    wide, returns = 1 - UNCERTAINTY / num_comparisons, _tables(scores.returns)
     mean_returns = returns
     if not all(np.isfinite(sample).all() for sample in returns):  # a policy failed, at an unknown cost
         mean_returns = np.full_like(returns[0], math.nan), np.full_like(returns[1], math.nan)
-    return_difference, return_simultaneous, return_p = _mean_difference(mean_returns, return_bounds, wide, paired)
+    return_difference, return_simultaneous, return_p = _mean_difference(
+        mean_returns, scores.return_bounds, wide, paired
+    )
     steps_difference, steps_simultaneous, steps_p = None, None, None
-    if steps is not None and time_limit is not None:
-        bounds = 1.0, float(time_limit)
-        steps_difference, steps_simultaneous, steps_p = _mean_difference(_tables(steps), bounds, wide, paired)
+    if scores.steps is not None and scores.time_limit is not None:
+        bounds = 1.0, float(scores.time_limit)
+        steps_difference, steps_simultaneous, steps_p = _mean_difference(_tables(scores.steps), bounds, wide, paired)
     higher, higher_simultaneous = _superiority(*returns, wide, paired)
     return Difference(
-        a=names[0],
-        b=names[1],
+        a=a,
+        b=b,
         sample_sizes=(returns[0].shape[1], returns[1].shape[1]),
         return_difference=return_difference,
         superiority=higher,
@@ -253,15 +229,15 @@ def _difference_between(
         steps_p=steps_p,
         simultaneous=Simultaneous(return_simultaneous, higher_simultaneous, steps_simultaneous),
         paired=paired,
-        **({} if success is None else _success(_tables(success), num_comparisons, paired)),
+        **({} if scores.success is None else _success(_tables(scores.success), num_comparisons, paired)),
     )
 
 
-def _tables(scores: _Scores) -> _Scores:
+def _tables(scores: Pair) -> Pair:
     return np.atleast_2d(np.asarray(scores[0], dtype=float)), np.atleast_2d(np.asarray(scores[1], dtype=float))
 
 
-def _success(success: _Scores, num_comparisons: int, paired: bool) -> dict[str, Any]:
+def _success(success: Pair, num_comparisons: int, paired: bool) -> dict[str, Any]:
     """Return the fields of `Difference` that are about success."""
     result: dict[str, Any] = {}
     if max(map(len, success)) > 1:
@@ -278,7 +254,7 @@ def _success(success: _Scores, num_comparisons: int, paired: bool) -> dict[str, 
 
 
 def _mean_difference(
-    scores: _Scores, bounds: Bounds | None, confidence: float, paired: bool
+    scores: Pair, bounds: Bounds | None, confidence: float, paired: bool
 ) -> tuple[Estimate, Estimate, float | None]:
     """Return a mean difference with both intervals, and its p-value: all unknown if the possible scores are."""
     a, b = scores

@@ -19,7 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.stats.difference import UNCERTAINTY, Difference, Simultaneous, SuccessIntervals
+from armctl.stats.difference import UNCERTAINTY, Difference, Pair, Scores, Simultaneous, SuccessIntervals
 from armctl.stats.intervals import Bounds, Estimate, Superiority, sign_of_difference
 from armctl.stats.paired import counts_of_pairs
 
@@ -136,30 +136,18 @@ class ConfidenceSequence:
         return float(min(1.0, 2 * np.exp(-largest)))
 
 
-@dataclass(frozen=True)
-class Scores:
-    """Scores of two policies in the same episodes, each (episodes,) or (1, episodes), in their order."""
-
-    success: tuple[Array, Array] | None
-    """None if success is unknown."""
-    returns: tuple[Array, Array]
-    steps: tuple[Array, Array] | None
-    """Restricted steps to the goal; None without a time limit."""
-
-
-def sequential_difference(
-    a: str, b: str, scores: Scores, return_bounds: Bounds | None, time_limit: int | None, num_comparisons: int = 1
-) -> Difference:
-    """Compare two policies as `paired_difference` does, by what holds at any number of episodes.
+def sequential_difference(a: str, b: str, scores: Scores, num_comparisons: int = 1) -> Difference:
+    """Compare two policies as `difference_between` does, in the order of their episodes, at any number of them.
 
     The simultaneous intervals hold for `num_comparisons` pairs (Bonferroni). p-values hold when a
     comparison stops, so that Holm's correction of several applies to them as to all others.
     """
     wide = 1 - UNCERTAINTY / num_comparisons
-    return_difference, wide_returns, return_p = _mean_difference(scores.returns, return_bounds, wide)
+    return_difference, wide_returns, return_p = _mean_difference(scores.returns, scores.return_bounds, wide)
     steps_difference, wide_steps, steps_p = None, None, None
-    if scores.steps is not None and time_limit is not None:
-        steps_difference, wide_steps, steps_p = _mean_difference(scores.steps, (1.0, float(time_limit)), wide)
+    if scores.steps is not None and scores.time_limit is not None:
+        bounds = 1.0, float(scores.time_limit)
+        steps_difference, wide_steps, steps_p = _mean_difference(scores.steps, bounds, wide)
     higher = ConfidenceSequence(sign_of_difference(*scores.returns).ravel(), (-1.0, 1.0))
     success: dict[str, Any] = {}
     if scores.success is not None:
@@ -187,9 +175,7 @@ def sequential_difference(
     )
 
 
-def _mean_difference(
-    scores: tuple[Array, Array], bounds: Bounds | None, wide: float
-) -> tuple[Estimate, Estimate, float | None]:
+def _mean_difference(scores: Pair, bounds: Bounds | None, wide: float) -> tuple[Estimate, Estimate, float | None]:
     """Return a mean difference with both intervals, and its p-value: unknown if scores, or what they can be, are."""
     a, b = (np.asarray(score, dtype=float).ravel() for score in scores)
     failed = ~(np.isfinite(a) & np.isfinite(b))

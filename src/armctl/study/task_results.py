@@ -34,7 +34,7 @@ COLUMNS = (
 
 `p` is McNemar's p-value for equal success in the same episodes without the disturbance, or the sign test's for equal
 return if success is unknown; for a group of trainings, that of random weights of trainings and of episodes; where the
-environment does not obey its seed, that of `unpaired_difference`. `change` is
+environment does not obey its seed, that of `unconditional`. `change` is
 the tested statistic: success minus that without the disturbance, or the share of episodes with a higher return minus
 the share with a lower one. `spared` is True where the disturbance does not reach the policy, which is in no test then:
 `p` and `change` are NaN."""

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from armctl.envs import ERROR
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import learners
-from armctl.stats.difference import Difference, paired_difference, unpaired_difference
+from armctl.stats.difference import Difference, Scores, difference_between
 from armctl.stats.intervals import Bounds
-from armctl.stats.sequential import Scores, sequential_difference
+from armctl.stats.sequential import sequential_difference
 
 WITHIN_RANGE, WITHIN_SPEED = 1.01, 1.2
 """Largest use of a joint's range, and of its speed limit, in a clean episode: servos overshoot a little."""
@@ -93,7 +93,7 @@ def pairs_of(
     Where episodes of the same number are not the same ones, learners are not `paired`, and all of either count. With
     `any_number`, what is concluded holds at any number of episodes, except for groups of trainings.
     """
-    pairs, compare = [], paired_difference if paired else unpaired_difference
+    pairs, num_pairs = [], math.comb(len(trained), 2)
     for a, b in itertools.combinations(trained, 2):
         fewest = min(len(trained[a][0]), len(trained[b][0])) if paired else None
         common_a, common_b = ([results[:fewest] for results in trained[name]] for name in (a, b))
@@ -101,12 +101,15 @@ def pairs_of(
         def of(score: str, a: Sequence[EpisodeTable] = common_a, b: Sequence[EpisodeTable] = common_b) -> Any:
             return scores_of(score, a, limits), scores_of(score, b, limits)
 
-        success = of("success") if scored else None
-        steps = of("restricted_steps") if scored and limits.steps is not None else None
-        returns, num_pairs = of("episode_return"), math.comb(len(trained), 2)
+        scores = Scores(
+            success=of("success") if scored else None,
+            returns=of("episode_return"),
+            steps=of("restricted_steps") if scored and limits.steps is not None else None,
+            return_bounds=limits.returns,
+            time_limit=limits.steps,
+        )
         if any_number and len(trained[a]) == len(trained[b]) == 1:
-            scores = Scores(success, returns, steps)
-            pairs.append(sequential_difference(a, b, scores, limits.returns, limits.steps, num_pairs))
-            continue
-        pairs.append(compare(a, b, success, returns, steps, limits.returns, limits.steps, num_pairs))
+            pairs.append(sequential_difference(a, b, scores, num_pairs))
+        else:
+            pairs.append(difference_between(a, b, scores, num_pairs, paired=paired))
     return pairs
