@@ -7,12 +7,18 @@ control step.
 """
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from armctl.baselines.reach_task import checked_options
+from armctl.control.arm_observer import ArmObserver
 from armctl.core.arrays import Array
+from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
@@ -21,8 +27,6 @@ from armctl.robot_description.joint_profiles import towards
 from armctl.tasks import OBSERVATION, ReachMovingOptions, ReachOptions
 from armctl.tasks.reach import CONTROL_PERIOD
 
-MARGIN = 0.9
-"""Fraction of the tolerance to aim at, as a reserve for servo errors."""
 SMOOTHING = 0.1
 """Weight of the latest reading of the tip's offset: noise is averaged over about 20 readings, and the error of a model
 whose links have other lengths, which depends on the configuration, is known within about 10."""
@@ -32,26 +36,41 @@ LAG = 0.05
 """s from an observation until the arm is where it is commanded to: a control step, and a little."""
 DAMPING = 1e-4
 """m^2, of joint velocities near singularities."""
+LARGEST_CORRECTION = 0.2
+"""rad, of a plan in a control step."""
 REPLAN_STEPS = 5
 """Control steps after the planned arrival until it plans again."""
 
 
+@options
+class ReachIkOptions:
+    """Options of the expert."""
+
+    margin: Annotated[float, Field(gt=0, le=1)] = 0.9
+    """Fraction of the tolerance to aim at, as a reserve for servo errors."""
+    prepared: bool = True
+    """Estimate joints, links, load, target and delay, where positions are commanded. False: average some readings."""
+
+
 @made_for("armctl/ArmReach*", controls="arms: not torque")
 @sees("model", family="IK")
-def make(env: ModelInterface) -> PerWorld:
+def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Pinocchio IK: the minimum-time collision-free configuration that reaches the target."""
     controls = ("position", "relative", "delta", "velocity")
-    options = checked_options("reach_ik", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, controls)
+    task = checked_options("reach_ik", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, controls)
     search = MinimumTimeReach(ArmModel(env.robot))
-    make_one = ReachIkTracking if isinstance(options, ReachMovingOptions) else ReachIk
-    return PerWorld([make_one(search, options.tolerance, options.control, CONTROL_PERIOD) for _ in range(env.num_envs)])
+    chosen = changed_options(ReachIkOptions(), options, "option of reach_ik")
+    moving, prepared = isinstance(task, ReachMovingOptions), chosen.prepared and task.control == "position"
+    make_one = ((ReachIk, ReachIkTracking), (PreparedReachIk, PreparedReachIkTracking))[prepared][moving]
+    radius = chosen.margin * task.tolerance
+    return PerWorld([make_one(search, task.tolerance, radius, task.control) for _ in range(env.num_envs)])
 
 
 class ReachIk:
     """Reaches with one arm."""
 
-    def __init__(self, search: MinimumTimeReach, tolerance: float, control: str, period: float) -> None:
-        self._search, self._tolerance, self._control, self._period = search, tolerance, control, period
+    def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, control: str) -> None:
+        self._search, self._tolerance, self._radius, self._control = search, tolerance, radius, control
         self.reset()
 
     def reset(self) -> None:
@@ -76,14 +95,15 @@ class ReachIk:
         """Plan a motion from `q` (dof,) into a sphere that becomes smaller with each plan that did not suffice."""
         self._plans += 1
         self._aim = self._target - self._tip_offset
-        goal = self._search.find(q, self._aim, MARGIN * self._tolerance / self._plans)
-        self._goal = self._search.ik.position(self._aim, q).closest if goal is None else goal.command
+        goal = self._search.find(q, self._aim, self._radius / self._plans)
+        self._entry = self._search.ik.position(self._aim, q).closest if goal is None else goal.q
+        self._goal = self._entry if goal is None else goal.command
         self._jacobian = self._search.model.jacobian(self._goal)[:3]
-        self._steps_to_plan = REPLAN_STEPS + (0 if goal is None else math.ceil(goal.time / self._period))
+        self._steps_to_plan = REPLAN_STEPS + (0 if goal is None else math.ceil(goal.time / CONTROL_PERIOD))
 
     def _towards(self, goal: Array, q: Array) -> Array:
-        velocity = towards(goal, q, self._search.model.limits, self._period)
-        actions = {"position": goal, "relative": goal - q, "delta": velocity * self._period, "velocity": velocity}
+        velocity = towards(goal, q, self._search.model.limits, CONTROL_PERIOD)
+        actions = {"position": goal, "relative": goal - q, "delta": velocity * CONTROL_PERIOD, "velocity": velocity}
         return actions[self._control]
 
 
@@ -103,7 +123,7 @@ class ReachIkTracking(ReachIk):
 
     def _meet(self, q: Array, target: Array, velocity: Array) -> Array | None:
         """Return the command with which the arm reaches the target as early as possible; None if none was found."""
-        radius = MARGIN * self._tolerance
+        radius = self._radius
         goal = self._search.find(q, target, radius)
         if goal is None:
             return None
@@ -119,3 +139,66 @@ class ReachIkTracking(ReachIk):
         goal = self._search.ik.position(target + LAG * velocity, q).closest
         speeds = damped_step(model.jacobian(goal)[:3], velocity, DAMPING)
         return np.asarray(goal + speeds * np.abs(speeds) / (2 * model.limits.acceleration))
+
+
+class PreparedReachIk(ReachIk):
+    """Reaches with one arm by estimates instead of readings, and shifts its commands by what a load takes away."""
+
+    def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, control: str) -> None:
+        self._belief = ArmObserver(search.model, CONTROL_PERIOD)
+        super().__init__(search, tolerance, radius, control)
+
+    def reset(self) -> None:
+        """Forget the plan and all readings."""
+        super().reset()
+        self._belief.reset()
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Return the joint positions (dof,) to move to, for an observation: end-effector, joints and target."""
+        belief, dof = self._belief, self._search.model.dof
+        belief.read(*np.split(observation.astype(float), (3, 3 + dof)))
+        self._target = belief.target
+        if self._steps_to_plan == 0:
+            self._plan(belief.commanded)
+            self._inside = self._search.model.position(self._entry) - self._aim
+        self._steps_to_plan -= 1
+        self._correct()
+        command = self._goal - belief.load_offset
+        belief.send(command)
+        return np.asarray(command)
+
+    def _correct(self) -> None:
+        """Make a Newton step to the planned place in the sphere, by what is known of links and target by now."""
+        model = self._search.model
+        self._tip_offset = self._belief.tip_offset(self._entry)
+        error = self._target + self._inside - model.position(self._entry) - self._tip_offset
+        step = damped_step(model.jacobian(self._entry)[:3], error, DAMPING)
+        step *= LARGEST_CORRECTION / max(float(np.abs(step).max()), LARGEST_CORRECTION)
+        self._entry, self._goal = self._entry + step, self._goal + step
+
+
+class PreparedReachIkTracking(ReachIkTracking):
+    """Tracks a moving target by estimates, from where the arm will be when a command acts."""
+
+    def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, control: str) -> None:
+        self._belief = ArmObserver(search.model, CONTROL_PERIOD, moving=True)
+        super().__init__(search, tolerance, radius, control)
+
+    def reset(self) -> None:
+        """Forget all readings."""
+        super().reset()
+        self._belief.reset()
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Return joint positions (dof,) to move to, for an observation, whose last part is the target's velocity."""
+        belief, dof = self._belief, self._search.model.dof
+        tip, q, target, velocity = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        belief.read(tip, q, target, velocity)
+        start = belief.commanded
+        offset = belief.tip_offset(start)
+        target, velocity = belief.target_ahead(np.zeros(())) - offset, belief.target_velocity_ahead()
+        near = np.linalg.norm(self._search.model.position(start) - target) <= self._tolerance
+        goal = None if near else self._meet(start, target, velocity)
+        command = (self._along(start, target, velocity) if goal is None else goal) - belief.load_offset
+        belief.send(command)
+        return np.asarray(command)

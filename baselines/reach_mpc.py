@@ -14,16 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.baselines.reach_task import checked_options
+from armctl.control.arm_observer import ArmObserver, ArmReadings
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
 from armctl.core.arrays import Array
-from armctl.core.options import changed_options
+from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ReachabilityMap
 from armctl.policies import PerWorld, made_for, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
+
+
+@options
+class ReachMpcExpertOptions(ReachMpcOptions):
+    """Options of the expert: those of its MPC, and of its estimation."""
+
+    prepared: bool = True
+    """Estimate joints, links, load, target and delay. False: believe every reading, and the model."""
+
 
 STUCK_STEPS, MIN_PROGRESS = 12, 0.005
 """Control steps in which the tip came less than so many m nearer to the target, after which another posture is looked
@@ -34,8 +44,8 @@ WAY_POINTS = 25
 """Configurations on each straight motion of a way at which distances are measured."""
 POSTURE_TOLERANCE = 0.02
 """rad: largest joint error at which a posture counts as reached."""
-AMONG_BOXES = ReachMpcOptions()
-WITHOUT_BOXES = ReachMpcOptions(margin=0.01, influence_distance=0.06)
+AMONG_BOXES = ReachMpcExpertOptions()
+WITHOUT_BOXES = ReachMpcExpertOptions(margin=0.01, influence_distance=0.06)
 """Nearer to the floor and to itself than an arm goes to boxes."""
 
 
@@ -53,11 +63,13 @@ class ReachWithMpc:
     """Reaches with one arm, given an observation of these parts, in order."""
 
     def __init__(
-        self, reachability_map: ReachabilityMap, tolerance: float, parts: list[str], options: ReachMpcOptions
+        self, reachability_map: ReachabilityMap, tolerance: float, parts: list[str], options: ReachMpcExpertOptions
     ) -> None:
         self._model, self._map, self._tolerance = reachability_map.model, reachability_map, tolerance
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
         self.mpc = ReachMpc(self._model, options)
+        period = self.mpc.problem.period
+        self._belief = ArmObserver(self._model, period, self._moving) if options.prepared else ArmReadings(period)
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
 
     @property
@@ -68,10 +80,10 @@ class ReachWithMpc:
     def reset(self) -> None:
         """Forget the plan."""
         self.mpc.reset()
+        self._belief.reset()
         self._posture: Array | None = None
         self._stream: CommandStream | None = None
         self._plan: JointTrajectory | None = None
-        self._target_velocity: Array | None = None
         self._way: list[Array] = []
         self._guided = False
         self._nearest, self._waited = np.inf, 0
@@ -84,42 +96,58 @@ class ReachWithMpc:
         """Return joint positions (dof,) to move to, for an observation (6 + dof + k,)."""
         dof = self._model.dof
         tip, q, target, extra = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        distance = float(np.linalg.norm(tip - target))
+        self._belief.read(tip, q, target, extra[:3] if self._moving else None)
+        command = self._goal(extra) - self._belief.load_offset
+        self._belief.send(command)
+        return np.asarray(command)
+
+    def _goal(self, extra: Array) -> Array:
+        """Return the joint positions (dof,) to move to without a load."""
+        belief = self._belief
+        distance = float(np.linalg.norm(belief.tip - belief.target))
         if self._posture is None:
-            return self._first_goal(q, target, extra)
+            return self._first_goal(extra)
         if self._is_stuck(distance):
-            self._posture = self._chosen(q, target)
+            self._posture = self._chosen()
             if not self._boxed:
                 self._stream = self._plan = None
         if self._stream is None:
-            if np.abs(q - self._posture).max() > POSTURE_TOLERANCE:
+            if np.abs(belief.commanded - self._posture).max() > POSTURE_TOLERANCE:
                 return self._posture
             self._stream = CommandStream(self._model.limits, self.mpc.problem.period, self._posture)
             self.mpc.reset()
-        if len(self._way) and np.abs(q - self._posture).max() < PASSING:
+        if len(self._way) and np.abs(belief.joints - self._posture).max() < PASSING:
             self._posture, self._way = self._way[0], self._way[1:]
         posture = None if distance < self._tolerance else self._posture
-        targets = self._predicted_targets(target, extra[:3]) if self._moving else target
+        targets = belief.target_ahead(self._ahead[:, 0]) - belief.tip_offset(self._arrival())
         if self._guided:
             targets = self._positions_ahead(self._stream.position, self._posture)
         self._plan = self.mpc.plan(self._stream.position, self._stream.velocity, targets, posture)
         return self._stream.goal(self._plan)
 
-    def _first_goal(self, q: Array, target: Array, extra: Array) -> Array:
+    def _arrival(self) -> Array:
+        """Return the joint positions (dof,) at the end of the last plan, or the posture without one."""
+        assert self._posture is not None
+        return self._posture if self._plan is None else self._plan.positions[-1]
+
+    def _first_goal(self, extra: Array) -> Array:
         """Start towards a posture, without a full plan: looking the posture up takes time."""
         if self._boxed:
             self.mpc.surround(read_boxes(extra))
-        self._posture = self._chosen(q, target)
+        q, self._posture = self._belief.commanded, self._chosen()
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
         self._plan = self.mpc.begin(q, np.zeros_like(q), self._posture)
         return self._stream.goal(self._plan)
 
-    def _chosen(self, q: Array, target: Array) -> Array:
-        """Return the posture (dof,) to go to from `q` (dof,).
+    def _chosen(self) -> Array:
+        """Return the posture (dof,) to go to.
 
         Among boxes it is the first of a way, if one is found, unless at first, the straight motion to the posture
         reached earliest is free: then the target itself is tracked, which is faster.
         """
+        q, target = self._belief.commanded, self._belief.target
+        if self._posture is not None:
+            target = target - self._belief.tip_offset(self._arrival())
         goal, self._guided, self._way = self._map.towards(target, q, self.mpc.model), False, []
         straight = self._posture is None and self.mpc.model.are_free(np.linspace(q, goal, WAY_POINTS)).all()
         if not self._boxed or straight:
@@ -146,10 +174,3 @@ class ReachWithMpc:
             return False
         self._nearest, self._waited = np.inf, 0
         return True
-
-    def _predicted_targets(self, target: Array, velocity: Array) -> Array:
-        """Return predicted target positions (N, 3), with the target's acceleration since the last control step."""
-        last = velocity if self._target_velocity is None else self._target_velocity
-        acceleration = (velocity - last) / self.mpc.problem.period
-        self._target_velocity = velocity
-        return target + self._ahead * velocity + self._ahead**2 / 2 * acceleration

@@ -5,8 +5,9 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.robot_description import load_arm
+from armctl.robot_description.joint_profiles import FOLLOWING_ERROR
 from armctl.robots import CONTROLS, Arm, build_arm_world
-from armctl.robots.arm import FOLLOWING_ERROR, speed_limits
+from armctl.robots.arm import speed_limits
 from armctl.simulation import Simulation
 
 from ..kernels.joint_profiles import TICK, trapezoidal_displacement, travel_time

@@ -92,6 +92,9 @@ class EstimationOptions:
     """Outliers in succession after which the filter starts again, from the next reading."""
     noise_memory: Annotated[float, Field(ge=0)] = 0.0
     """Readings over which the scale of the noise is identified. 0: it is 1."""
+    common_scale: bool = False
+    """Take the scale for that of Q and of the initial covariance too. Gains are then as without it, and constants are
+    estimated by least squares, however large the noise is."""
     prior_readings: Positive = 0.1
     """Weight of the model's own noise at the beginning, in readings. Larger: more belief in it."""
     min_scale: Positive = 1e-8
@@ -109,7 +112,9 @@ class KalmanFilter:
         gates = [0.0, *(2 * gammaincinv(np.arange(1, readings + 1) / 2, options.gate))]
         memory = options.noise_memory
         forgetting = 1 - 1 / max(memory, 1.0)
-        self._tuning = kalman.Tuning(np.array(gates), options.max_rejections, forgetting, memory > 0, options.min_scale)
+        self._tuning = kalman.Tuning(
+            np.array(gates), options.max_rejections, forgetting, memory > 0, options.common_scale, options.min_scale
+        )
         self._beliefs = kalman.Beliefs(
             np.zeros((count, states)), np.empty((count, states, states)),
             np.empty((count, 2)), np.zeros(count, dtype=np.int64),
@@ -154,8 +159,8 @@ class KalmanFilter:
         kalman.predict(self.model.transition, self.model.process_noise, self._shifts, self.mean, self.covariance)
         return self.mean
 
-    def update(self, z: ArrayLike) -> NDArray[np.bool_]:
-        """Correct the estimates by readings (n, l), NaN where missing.
+    def update(self, z: ArrayLike, observation: Array | None = None) -> NDArray[np.bool_]:
+        """Correct the estimates by readings (n, l), NaN where missing; `observation` (l, k) is H of this period.
 
         Return (n,) which filters had readings that were no outliers.
         """
@@ -163,8 +168,7 @@ class KalmanFilter:
         shape = self.count, len(self.model.observation)
         if readings.shape != shape:
             raise ConfigurationError(f"z should be an array {shape}, not of shape {readings.shape}")
-        model = self.model
-        kalman.update(
-            model.observation, model.reading_noise, readings, self._initial, self._tuning, self._beliefs, self._accepted
-        )
-        return self._accepted.copy()
+        observation = self.model.observation if observation is None else np.ascontiguousarray(observation)
+        noise, accepted = self.model.reading_noise, self._accepted
+        kalman.update(observation, noise, readings, self._initial, self._tuning, self._beliefs, accepted)
+        return accepted.copy()

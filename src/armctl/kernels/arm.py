@@ -118,3 +118,16 @@ def tips(joints, q, out):
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)
         tip_of(joints, rotations, origins, out[row])
+
+
+@compiled
+def segments(joints, q, out):
+    """Compute the vectors (dof + 1, 3) from the base over all joints to the end-effector, whose sum is its position."""
+    rotations, origins, tip = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3)), np.empty(3)
+    forward(joints, q, rotations, origins)
+    tip_of(joints, rotations, origins, tip)
+    for i in range(3):
+        out[0, i] = origins[0, i]
+        for k in range(1, len(joints)):
+            out[k, i] = origins[k, i] - origins[k - 1, i]
+        out[len(joints), i] = tip[i] - origins[len(joints) - 1, i]

@@ -38,6 +38,8 @@ class Tuning(NamedTuple):
     """Factor of the noise sums at each reading."""
     identifies: bool
     """True if the scale of the noise is identified; it is 1 otherwise."""
+    common: bool
+    """True if that is the scale of all covariances: it then changes no gain."""
     min_noise: float
     """Least scale of the noise's variance."""
 
@@ -81,8 +83,12 @@ def learn_noise(innovation, expected, noise, present, limit, sums, tuning):
     scale, variance, doubt, count = noise_scale(sums, tuning), 0.0, 0.0, 0
     for a in range(len(innovation)):
         if present[a]:
-            largest = limit * (expected[a, a] + scale * noise[a, a])
-            variance += (min(innovation[a] ** 2, largest) - expected[a, a]) / noise[a, a]
+            if tuning.common:
+                total = expected[a, a] + noise[a, a]
+                variance += min(innovation[a] ** 2 / total, limit * scale)
+            else:
+                largest = limit * (expected[a, a] + scale * noise[a, a])
+                variance += (min(innovation[a] ** 2, largest) - expected[a, a]) / noise[a, a]
             doubt += expected[a, a] / noise[a, a]
             count += 1
     weight = 1.0 / (1.0 + doubt / count) ** 2
@@ -111,10 +117,10 @@ def update(observation, noise, readings, initial, tuning, beliefs, accepted):
         for attempt in range(2):
             _innovate(observation, readings[i], mean, covariance, present, innovation, expected, cross)
             scale = noise_scale(beliefs.noise_sums[i], tuning)
-            residual, gain = _whiten(innovation, expected, noise, scale, present, cross)
+            residual, gain = _whiten(innovation, expected, noise, 1.0 if tuning.common else scale, present, cross)
             distance = 0.0
             for a in range(size):
-                distance += residual[a] ** 2
+                distance += residual[a] ** 2 / (scale if tuning.common else 1.0)
             if attempt == 0 and tuning.identifies:
                 limit = tuning.gate[1] * GROWTH ** beliefs.rejections[i]
                 learn_noise(innovation, expected, noise, present, limit, beliefs.noise_sums[i], tuning)

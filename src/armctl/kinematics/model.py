@@ -86,6 +86,15 @@ class ArmModel:
         arm.tips(self.joints, flat, positions)
         return positions.reshape(*np.shape(q)[:-1], 3)
 
+    def segments(self, q: Array) -> Array:
+        """Return the vectors (dof + 1, 3) m from the base over all joints to the end-effector: they sum to its place.
+
+        The error of the end-effector is linear in errors of the links' lengths: each adds its share of a vector.
+        """
+        vectors = np.empty((self.dof + 1, 3))
+        arm.segments(self.joints, np.ascontiguousarray(q, dtype=float), vectors)
+        return vectors
+
     def is_free(self, q: ArrayLike) -> bool:
         """Return True if q (dof,) is collision-free: the capsules touch no other capsule, floor or box."""
         return bool(self.are_free(np.asarray(q)[None])[0])

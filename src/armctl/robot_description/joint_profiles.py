@@ -15,6 +15,8 @@ from armctl.robot_description.arm import JointLimits
 
 TICK = 0.008
 """s: the drives of a UR5 take commands at 125 Hz."""
+FOLLOWING_ERROR = 0.3
+"""rad: a command waits for a joint that is so far behind it, because something blocks it; in free motion, none is."""
 OVERRUNS = np.linspace(0.0, 1.0, 17)
 """Fractions of the braking distance by which a joint may overrun a position that it passes without stopping."""
 

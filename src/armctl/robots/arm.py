@@ -14,7 +14,7 @@ from armctl.kernels.control_step import Drives
 from armctl.robot_description import ArmDescription
 from armctl.robot_description.capsules import Capsule
 from armctl.robot_description.collision_pairs import FLOOR
-from armctl.robot_description.joint_profiles import TICK
+from armctl.robot_description.joint_profiles import FOLLOWING_ERROR, TICK
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.impacts import add_impact_sensors
@@ -35,9 +35,6 @@ BRAKE_GAIN = 10.0
 HARD = (0.001, 1.0), (0.99, 0.99, 0.001, 0.5, 2.0)
 """`solref` and `solimp` of contacts and joint limits: as hard as physics steps of 2 ms allow (MuJoCo's manual, "Solver
 parameters")."""
-
-FOLLOWING_ERROR = 0.3
-"""rad: a command waits for a joint that is so far behind it, because something blocks it; in free motion, none is."""
 
 PREFIX = "arm/"
 """Prefix of the arm's names in a world's model."""
