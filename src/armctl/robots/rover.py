@@ -15,6 +15,8 @@ PREFIX = "rover/"
 WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
 PARTS = ("base", *WHEELS)
 CAMERA = PREFIX + "front"
+CAMERA_AHEAD, CAMERA_PITCH = 0.215, float(np.radians(10.0))
+"""m before the rover's centre, and rad by which the camera looks down at rest."""
 GEOM_GROUP = 1
 """Group of the geoms that its own camera does not see."""
 
