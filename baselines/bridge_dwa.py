@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from armctl.baselines.bridge_view import BridgeView
@@ -29,6 +30,9 @@ STUCK = 0.1
 """m/s and rad/s: if the best velocity is less, it turns, and forgets what is out of view, as ROS's recovery does."""
 DRIFT = 0.4
 """m by which the reckoned pose may be beside the true one: paths may lead so far beyond the barriers."""
+
+FAR = 1.0
+"""m: distance from which on obstacles are all the same."""
 
 
 @options
@@ -69,12 +73,28 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     return PerWorld([BridgeDwa(BridgeView("bridge_dwa", env), checked) for _ in range(env.num_envs)])
 
 
+class SeenMap(BridgeMap):
+    """A bridge of many small obstacles and without barriers, as a camera has seen it."""
+
+    def clearance(self, points: ArrayLike) -> Array:
+        """Return the distance (m,) of points (m, 2) to the nearest obstacle."""
+        return distances_to(self.blocks[:, :2], np.asarray(points))
+
+
+def distances_to(obstacles: Array, points: Array) -> Array:
+    """Return the distances (...,) m of points (..., 2) to the nearest of obstacles (k, 2), m; at most `FAR`."""
+    return np.asarray(
+        np.minimum(KDTree(np.vstack((obstacles, (-1e3, 0.0)))).query(points, distance_upper_bound=FAR)[0], FAR)
+    )
+
+
 class BridgeDwa:
     """Crosses one bridge."""
 
     def __init__(self, view: BridgeView, options: BridgeDwaOptions) -> None:
         self._view, self._options = view, options
-        self._clock = CONTROL_PERIOD * np.arange(1, round(options.horizon / CONTROL_PERIOD) + 1)
+        steps = round(options.horizon / CONTROL_PERIOD)
+        self._clock = np.array([CONTROL_PERIOD * step for step in range(1, steps + 1)])
         self._lattice = Lattice(view.goal_x + 1.0, view.half_width + DRIFT)
         self.reset()
 
@@ -92,17 +112,14 @@ class BridgeDwa:
         options, view = self._options, self._view
         view.update(observation, options.memory)
         if self._steps % options.replan_steps == 0:
-            points = np.pad(np.unique(view.obstacles.round(1), axis=0), ((0, 0), (0, 3)))
-            bridge = BridgeMap(self._lattice.length, self._lattice.half_width, points)
-            self._lengths = self._lattice.lengths(bridge, view.goal_x, RADIUS + options.clearance)
+            seen_map = SeenMap(self._lattice.length, self._lattice.half_width, np.pad(view.obstacles, ((0, 0), (0, 3))))
+            self._lengths = self._lattice.lengths(seen_map, view.goal_x, RADIUS + options.clearance)
         self._steps += 1
         change = CONTROL_PERIOD * np.array((options.acceleration, options.turn_acceleration))
-        limits = (options.max_speed, options.max_turn_rate)
+        limits = np.array((options.max_speed, options.max_turn_rate))
         linear, angular = dynamic_window(view.velocity, change, limits, options.samples)
         places, yaws = arcs(view.pose, linear, angular, self._clock)
-        room = np.full(places.shape[:2], np.inf)
-        if len(view.obstacles):
-            room = KDTree(view.obstacles).query(places)[0] - RADIUS
+        room = distances_to(view.obstacles, places) - RADIUS
         until_stopped = self._clock <= (linear / options.acceleration + 2 * CONTROL_PERIOD)[:, None]
         admissible = np.where(until_stopped, room, np.inf).min(axis=1) >= options.margin
         noses = places[:, -1] + options.nose * np.column_stack((np.cos(yaws), np.sin(yaws)))

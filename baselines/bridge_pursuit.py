@@ -60,8 +60,8 @@ class BridgePursuit:
     def act(self, observation: Mapping[str, Any]) -> Array:
         """Return linear (m/s) and angular velocity (rad/s)."""
         self._view.update(observation)
-        ahead, left = self._view.ahead.T
-        in_the_way = (np.abs(left) < RADIUS + self._options.margin) & (ahead < RADIUS + self._options.stop_distance)
+        ahead, sideways = self._view.ahead.T
+        in_the_way = (np.abs(sideways) < RADIUS + self._options.margin) & (ahead < RADIUS + self._options.stop_distance)
         if in_the_way.any():
             return np.zeros(2)
         return np.array(self._pursuit.command(self._view.pose, float(self._view.velocity[0])))

@@ -58,8 +58,8 @@ class BridgeView:
         self.ahead = ranges[hits, None] * self.camera.directions[hits] + (CAMERA_AHEAD, 0.0)
         x, y, yaw = self.pose
         turn = np.array(((math.cos(yaw), math.sin(yaw)), (-math.sin(yaw), math.cos(yaw))))
-        ahead, left = turn @ (self.obstacles - (x, y)).T
-        out_of_view = np.abs(np.arctan2(left, ahead - CAMERA_AHEAD)) > self._half_view
+        ahead, sideways = turn @ (self.obstacles - (x, y)).T
+        out_of_view = np.abs(np.arctan2(sideways, ahead - CAMERA_AHEAD)) > self._half_view
         kept = out_of_view & (self._ages < memory)
         self.obstacles = np.vstack((self.obstacles[kept], (x, y) + self.ahead @ turn))
         self._ages = np.concatenate((self._ages[kept] + CONTROL_PERIOD, np.zeros(len(self.ahead))))

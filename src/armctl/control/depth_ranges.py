@@ -44,18 +44,18 @@ class DepthCamera:
     @functools.cached_property
     def directions(self) -> Array:
         """(width, 2) unit vectors, ahead and left, of the columns at the horizon."""
-        bearings = np.arctan2(self._left, 1 / math.cos(self.pitch))
+        bearings = np.arctan2(self._sideways, 1 / math.cos(self.pitch))
         return np.column_stack((np.cos(bearings), np.sin(bearings)))
 
     def ranges(self, depths: ArrayLike) -> Array:
         """Return horizontal distances (width,) m from the camera, at most `farthest`, for depths (height, width) m."""
         depths = np.asarray(depths, dtype=float)
-        up, left = self._up[:, None], self._left
+        up = self._up[:, None]
         tangent, lowest = self._tangent_of_pitch(depths)
         cos = 1 / math.sqrt(1 + tangent * tangent)
         sin = tangent * cos
         camera_height = lowest * (sin - float(self._up[self._deck_rows[0]]) * cos)
-        rise, reach = up * cos - sin, np.hypot(cos + up * sin, left)
+        rise, reach = up * cos - sin, np.hypot(cos + up * sin, self._sideways)
         heights = camera_height + rise * depths
         is_obstacle = (heights > OBSTACLE_HEIGHTS[0]) & (heights < OBSTACLE_HEIGHTS[1])
         is_hole = (heights < HOLE_HEIGHT) & (rise < MAX_RISE)
@@ -84,5 +84,5 @@ class DepthCamera:
         return np.asarray((self.height / 2 - np.arange(self.height) - 0.5) * self._pixel)
 
     @functools.cached_property
-    def _left(self) -> Array:
+    def _sideways(self) -> Array:
         return np.asarray((self.width / 2 - np.arange(self.width) - 0.5) * self._pixel)

@@ -4,23 +4,18 @@ Fox, Burgard, Thrun: The dynamic window approach to collision avoidance, IEEE Ro
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from armctl.core.arrays import Array
 
 
-def dynamic_window(velocity: Array, change: ArrayLike, limits: ArrayLike, samples: int) -> tuple[Array, Array]:
+def dynamic_window(velocity: Array, change: Array, limits: Array, samples: int) -> tuple[Array, Array]:
     """Return velocities, linear (k,) m/s and angular (k,) rad/s, of which there are `samples` and 2 `samples` + 1.
 
     They differ from the present `velocity` (2,) by at most `change` (2,), and are forwards within `limits` (2,).
     """
-    largest = np.asarray(limits, dtype=float)
-    low, high = np.clip(velocity - change, (0.0, -largest[1]), largest), np.clip(
-        velocity + change, (0.0, -largest[1]), largest
-    )
-    linear, angular = np.meshgrid(
-        np.linspace(low[0], high[0], samples), np.linspace(low[1], high[1], 2 * samples + 1)
-    )
+    lowest = np.array((0.0, -limits[1]))
+    low, high = np.clip(velocity - change, lowest, limits), np.clip(velocity + change, lowest, limits)
+    linear, angular = np.meshgrid(np.linspace(low[0], high[0], samples), np.linspace(low[1], high[1], 2 * samples + 1))
     return linear.ravel(), angular.ravel()
 
 

@@ -6,7 +6,7 @@ van den Berg, Guy, Lin, Manocha: Reciprocal n-body collision avoidance, ISRR 200
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.arrays import Array
 
@@ -36,10 +36,10 @@ def avoidance(position: Array, velocity: Array, radius: float, horizon: float, p
     return (velocity @ direction) * direction - velocity, side * np.array((-direction[1], direction[0]))
 
 
-def nearest_velocity(preferred: ArrayLike, normals: Array, bounds: Array, soft: Array) -> Array:
+def nearest_velocity(preferred: ArrayLike, normals: Array, bounds: Array, soft: NDArray[np.bool_]) -> Array:
     """Return the velocity (2,) nearest to the `preferred` one in half-planes `normals` (k, 2) @ v >= `bounds` (k,).
 
-    If there is none, the half-planes that are `soft` (k,), 0 or 1, are relaxed alike, as far as necessary. Zero
+    If there is none, the half-planes that are `soft` (k,) are relaxed alike, as far as necessary. Zero
     velocity has to keep to the others.
     """
     preferred = np.asarray(preferred, dtype=float)
