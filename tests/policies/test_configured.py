@@ -65,7 +65,8 @@ def test_the_files_beside_experts_have_their_present_options(name, monkeypatch):
         return changes[-1][1]
 
     monkeypatch.setattr(home, "changed_options", changed)
-    plain, same = compare({"plain": name, "same": str(configurations()[name])}, told.env, episodes=2).policies
+    policies, short_episodes = {"plain": name, "same": str(configurations()[name])}, {"max_episode_steps": 50}
+    plain, same = compare(policies, told.env, episodes=2, env_options=short_episodes).policies
     assert plain.episode_return.value == same.episode_return.value
     assert changes
     assert all(with_options == usual for usual, with_options in changes)
