@@ -82,8 +82,7 @@ def test_the_files_beside_experts_have_their_present_options(name, monkeypatch):
         ('policy = "reach_mpc"\nenv = 3', "env: Input should be a valid string"),
         ("policy = ", "is not TOML"),
         ("a = " + "[" * 3000, "is nested too deeply"),
-        ('policy = "random"
-env = "armctl/ArmReach-v0"', "takes no options; those that do: bridge_"),
+        ('policy = "random"\nenv = "armctl/ArmReach-v0"', "takes no options; those that do: bridge_"),
         (SHORT.replace("horizon", "horizn"), "Did you mean 'horizon'"),
         (SHORT.replace("4", "1"), "horizon: input should be greater than or equal to 2, not 1"),
         (SHORT.replace("4", "nan"), "horizon"),
