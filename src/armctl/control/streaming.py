@@ -1,7 +1,8 @@
-"""The position command that makes an arm's drives follow a plan for the next period.
+"""The command that makes an arm's drives follow a plan for the next period: a position, or a velocity.
 
-The drives (`armctl.robot_description.joint_profiles`) move to a commanded position by their own law. That law is
-simulated here, so a controller knows where its command is without feedback, and inverted by a search for the command.
+The drives (`armctl.robot_description.joint_profiles`) move to a commanded position or velocity by their own law. That
+law is simulated here, so a controller knows where its command is without feedback, and inverted by a search for the
+position. A velocity is reached within a period, and what its position lacks is corrected.
 """
 
 import numpy as np
@@ -15,6 +16,9 @@ from armctl.robot_description.joint_profiles import TICK
 
 SHARES = np.linspace(-1.2, 1.2, 49)
 """Candidate goals: where a joint stops after it has gained this fraction of its largest speed change per period."""
+
+CORRECTION = 0.5
+"""Fraction of an error in position that the next commanded velocity corrects."""
 
 
 def follow(limits: JointLimits, position: Array, velocity: Array, goal: Array, period: float) -> tuple[Array, Array]:
@@ -61,3 +65,33 @@ class CommandStream:
         self.position, self._drives = follow(self.limits, self.position, self._drives, goal, self.period)
         self.velocity = self._drives
         return goal
+
+    def goal_through(self, position: Array, velocity: Array) -> Array:
+        """Return the goal (dof,) at which drives stop that pass `position` (dof,) at `velocity` (dof,) rad/s.
+
+        They are there about when the next period ends: other than `goal_towards`, also at their largest acceleration.
+        """
+        limits = self.limits
+        goal = position + velocity * (np.abs(velocity) / (2 * limits.acceleration) + TICK)
+        goal = np.clip(goal, limits.lower, limits.upper)
+        self.position, self._drives = follow(limits, self.position, self._drives, goal, self.period)
+        self.velocity = self._drives
+        return goal
+
+    def velocity_through(self, position: Array, velocity: Array) -> Array:
+        """Return the velocity (dof,) rad/s to command, for drives that are to be at `position` (dof,) rad with another.
+
+        It is `velocity` (dof,), and what corrects half of the error in position that this leaves.
+        """
+        error = position - self.position - TICK * self._speeds(velocity).sum(axis=0)
+        goal = np.asarray(velocity + CORRECTION * error / self.period)
+        speeds = self._speeds(goal)
+        self.position, self._drives = self.position + TICK * speeds.sum(axis=0), speeds[-1]
+        self.velocity = self._drives
+        return goal
+
+    def _speeds(self, velocity: Array) -> Array:
+        """Return the velocities (ticks, dof) of drives in the next period, towards `velocity` (dof,)."""
+        limits = self.limits
+        change = limits.acceleration * TICK * np.arange(1, 1 + round(self.period / TICK))[:, None]
+        return np.clip(np.clip(velocity, -limits.velocity, limits.velocity), self._drives - change, self._drives + change)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from ruckig import InputParameter, Ruckig, Synchronization
+from ruckig import InputParameter, OutputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as RuckigTrajectory
 from scipy.ndimage import uniform_filter1d
 
@@ -23,6 +23,8 @@ from armctl.robot_description import JointLimits
 
 SAMPLE = 0.002
 """s: time between two points of a trajectory"""
+GOAL_SPEED = 0.9
+"""Largest speed of a moving goal, relative to the limit: joints have to be faster to come beside it."""
 PACES = (1.0, 0.7, 0.5, 0.3)
 """Fractions of the full speed to try, the highest first: slower motions cut corners less."""
 
@@ -48,22 +50,69 @@ class Trajectory:
         return np.asarray((1 - share) * self.positions[first] + share * self.positions[second])
 
 
+class JerkLimitedMotion:
+    """The commanded motion of joints that goes on by a period at a time, to a goal that may change at each of them.
+
+    Ruckig plans the rest of the motion anew from the commanded state. Each joint moves in its own minimum time. If the
+    goal moves, so does the frame of the plan, at a constant velocity: limits of acceleration and jerk are the same in
+    it, those of velocity are shifted, and the plan ends at rest.
+    """
+
+    def __init__(self, limits: JointLimits, period: float, position: ArrayLike) -> None:
+        self.limits, self.period, self._dof = limits, period, len(limits.lower)
+        self._otg, self._next = Ruckig(self._dof, period), OutputParameter(self._dof)
+        self.restart(position)
+
+    def restart(self, position: ArrayLike) -> None:
+        """Begin anew, at rest at `position` (dof,) rad."""
+        self.position: Array = np.array(position, dtype=float)
+        """(dof,) rad: the commanded position."""
+        self.velocity: Array = np.zeros(self._dof)
+        """(dof,) rad/s."""
+        self.acceleration: Array = np.zeros(self._dof)
+        """(dof,) rad/s^2."""
+
+    def step(self, goal: Array, velocity: Array | None = None) -> None:
+        """Go on by a period, to be at rest at `goal` (dof,) rad, or beside it if it moves at `velocity` (dof,) rad/s.
+
+        A moving goal is where it will be after the period.
+        """
+        top = GOAL_SPEED * self.limits.velocity
+        frame = np.zeros(self._dof) if velocity is None else np.clip(velocity, -top, top)
+        goal = np.clip(goal, self.limits.lower, self.limits.upper)
+        self._otg.update(self._problem(goal - self.period * frame, frame), self._next)
+        self.position = goal + self._next.new_position
+        self.velocity = frame + self._next.new_velocity
+        self.acceleration = np.array(self._next.new_acceleration)
+
+    def preview(self, goal: Array, step: float) -> Array:
+        """Return the positions (m, dof) every `step` (s) from now until the joints would rest at `goal` (dof,)."""
+        goal, trajectory = np.clip(goal, self.limits.lower, self.limits.upper), RuckigTrajectory(self._dof)
+        self._otg.calculate(self._problem(goal, np.zeros(self._dof)), trajectory)
+        return goal + _sampled(trajectory, step)
+
+    def _problem(self, origin: Array, frame: Array) -> InputParameter:
+        """Return the problem to come to rest at the `origin` (dof,) of a frame that moves at a velocity (dof,)."""
+        problem = _problem(self.limits, Synchronization.No)
+        problem.current_position = (self.position - origin).tolist()
+        problem.current_velocity = (self.velocity - frame).tolist()
+        problem.current_acceleration = self.acceleration.tolist()
+        problem.max_velocity = (self.limits.velocity - frame).tolist()
+        problem.min_velocity = (-self.limits.velocity - frame).tolist()
+        return problem
+
+
 def point_to_point(limits: JointLimits, start: ArrayLike, goal: ArrayLike, straight: bool = False) -> Trajectory:
     """Return the minimum-time motion from rest at `start` to rest at `goal`, (dof,) each; `straight` keeps to the line.
 
     Raises `ConfigurationError` for configurations outside the limits.
     """
     ends = _checked(limits, np.array([start, goal], dtype=float))
-    dof = ends.shape[1]
-    problem = InputParameter(dof)
+    problem = _problem(limits, Synchronization.Phase if straight else Synchronization.Time)
     problem.current_position, problem.target_position = ends.tolist()
-    problem.max_velocity, problem.max_acceleration = limits.velocity.tolist(), limits.acceleration.tolist()
-    problem.max_jerk = limits.jerk.tolist()
-    problem.synchronization = Synchronization.Phase if straight else Synchronization.Time
-    trajectory = RuckigTrajectory(dof)
-    Ruckig(dof).calculate(problem, trajectory)
-    times = np.arange(0.0, trajectory.duration + SAMPLE, SAMPLE)
-    return Trajectory(np.array([trajectory.at_time(float(time))[0] for time in times]))
+    trajectory = RuckigTrajectory(ends.shape[1])
+    Ruckig(ends.shape[1]).calculate(problem, trajectory)
+    return Trajectory(_sampled(trajectory, SAMPLE))
 
 
 def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool = False) -> Trajectory:
@@ -99,7 +148,7 @@ def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory],
     """
     corners = np.asarray(path, dtype=float)
     if len(corners) == 2:
-        candidates = (point_to_point(_at_pace(limits, pace), corners[0], corners[1], straight=True) for pace in PACES)
+        candidates = (point_to_point(scaled(limits, pace, pace**2, pace**3), corners[0], corners[1], straight=True) for pace in PACES)
     else:
         candidates = (along(limits, corners, pace) for pace in PACES)
     last = along(limits, corners, PACES[-1], stops=True)
@@ -107,10 +156,28 @@ def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory],
     return next(filter(is_free, faster), last)
 
 
-def _at_pace(limits: JointLimits, pace: float) -> JointLimits:
-    """Return limits under which the same motions take 1 / `pace` times as long."""
-    velocity, acceleration, jerk = pace * limits.velocity, pace**2 * limits.acceleration, pace**3 * limits.jerk
-    return replace(limits, velocity=velocity, acceleration=acceleration, jerk=jerk)
+def _problem(limits: JointLimits, synchronization: Synchronization) -> InputParameter:
+    """Return a problem for Ruckig with these limits, from rest at zero."""
+    problem = InputParameter(len(limits.lower))
+    problem.max_velocity, problem.max_acceleration = limits.velocity.tolist(), limits.acceleration.tolist()
+    problem.max_jerk, problem.synchronization = limits.jerk.tolist(), synchronization
+    return problem
+
+
+def _sampled(trajectory: RuckigTrajectory, step: float) -> Array:
+    """Return the positions (m, dof) every `step` (s), at rest at the last."""
+    times = np.arange(0.0, trajectory.duration + step, step)
+    return np.array([trajectory.at_time(float(time))[0] for time in times])
+
+
+def scaled(limits: JointLimits, velocity: float, acceleration: float, jerk: float) -> JointLimits:
+    """Return fractions of the limits of velocity, acceleration and jerk."""
+    return replace(
+        limits,
+        velocity=velocity * limits.velocity,
+        acceleration=acceleration * limits.acceleration,
+        jerk=jerk * limits.jerk,
+    )
 
 
 def _checked(limits: JointLimits, path: Array) -> Array:

@@ -79,12 +79,20 @@ class MinimumTimeReach:
 
         None if no start led into the sphere.
         """
-        candidates = self._by_time(start, self._candidates(start, centre, radius, np.zeros(self.model.dof))[0])
+        candidates = self.candidates(start, centre, radius)
         goal = self._first_free(start, candidates)
         if goal is None:
-            at_centre = np.array(list(self.ik.free_configurations(centre))).reshape(-1, self.model.dof)
-            goal = self._first_free(start, self._by_time(start, self.model.nearest_turn(at_centre, start)))
+            goal = self._first_free(start, self.at_centre(start, centre))
         return self._goal(start, candidates[0]) if goal is None and len(candidates) else goal
+
+    def candidates(self, start: Array, centre: Array, radius: float) -> Array:
+        """Return configurations (k, dof) in the sphere, in collision or not, those reached earliest from rest first."""
+        return self._by_time(start, self._candidates(start, centre, radius, np.zeros(self.model.dof))[0])
+
+    def at_centre(self, start: Array, centre: Array) -> Array:
+        """Return collision-free configurations (k, dof) with the end-effector at `centre`, the earliest first."""
+        q = np.array(list(self.ik.free_configurations(centre))).reshape(-1, self.model.dof)
+        return self._by_time(start, self.model.nearest_turn(q, start))
 
     def min_time(self, start: Array, centre: Array, radius: float, velocity: Array | None = None) -> float:
         """Return the seconds from `start` (dof,) with `velocity` (dof,) rad/s into the sphere without obstacles.
