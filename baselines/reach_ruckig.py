@@ -45,6 +45,8 @@ LAG = 0.01
 """s that joints are behind the drives."""
 DAMPING = 1e-4
 """m^2, of joint velocities near singularities."""
+PATIENCE = 0.4
+"""s until it looks again for a free motion among boxes, and so much longer each time."""
 REPLAN_STEPS = 5
 """Control steps after the planned arrival until it chooses a configuration again."""
 
@@ -60,25 +62,25 @@ class ReachRuckigOptions:
     jerk: Fraction = 1.0
 
 
-@made_for("armctl/ArmReach*", controls="arms: not torque")
+@made_for("armctl/ArmReach*", controls="arms: not torque", interface={"control": "velocity"})
 @sees("model", family="Ruckig")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Jerk-limited minimum-time motion to the configuration that gets there first, replanned on line by Ruckig."""
     task = checked_options("reach_ruckig", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, CONTROLS)
-    own = changed_options(ReachRuckigOptions(), options, "option of reach_ruckig")
+    shares = changed_options(ReachRuckigOptions(), options, "option of reach_ruckig")
     search, parts = MinimumTimeReach(ArmModel(env.robot)), list(task.parts)
-    return PerWorld([ReachRuckig(search, task.tolerance, task.control, parts, own) for _ in range(env.num_envs)])
+    return PerWorld([ReachRuckig(search, task.tolerance, task.control, parts, shares) for _ in range(env.num_envs)])
 
 
 class ReachRuckig:
     """Reaches with one arm, given an observation of these parts, in order."""
 
     def __init__(
-        self, search: MinimumTimeReach, tolerance: float, control: str, parts: list[str], own: ReachRuckigOptions
+        self, search: MinimumTimeReach, tolerance: float, control: str, parts: list[str], shares: ReachRuckigOptions
     ) -> None:
-        self._search, self._tolerance, self._control, self._options = search, tolerance, control, own
+        self._search, self._tolerance, self._control = search, tolerance, control
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
-        self._limits = scaled(search.model.limits, own.velocity, own.acceleration, own.jerk)
+        self._limits = scaled(search.model.limits, shares.velocity, shares.acceleration, shares.jerk)
         self.reset()
 
     def reset(self) -> None:
@@ -93,12 +95,16 @@ class ReachRuckig:
         """Return the action (dof,) for an observation: positions of end-effector, joints and target, and others."""
         dof = self._model.dof
         tip, q, target, extra = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        readable = bool(np.isfinite(observation).all())
+        if self._motion is None and not readable:
+            return self._model.home if self._control == "position" else np.zeros(dof)
         if self._motion is None:
             self._motion = JerkLimitedMotion(self._limits, CONTROL_PERIOD, q)
             self._stream = CommandStream(self._model.limits, CONTROL_PERIOD, q)
             if self._boxed:
                 self._model = self._model.among(read_boxes(extra))
-        self._read(tip, q, target, extra)
+        if readable:
+            self._read(tip, q, target, extra)
         if self._steps_to_choice <= 0 and (self._choices == 0 or self._is_astray()):
             self._choose(self._motion)
         self._steps_to_choice -= 1
@@ -136,11 +142,18 @@ class ReachRuckig:
         if entry is None:
             entry = self._earliest(motion, search.at_centre(start, self._aim), radius)
         if entry is None:
-            stay = start if self._boxed else search.ik.position(self._aim, start).closest
-            entry = Entry(stay, 0.0) if self._boxed or not len(early) else self._entry(motion, early[0], radius)[0]
+            entry = self._last_resort(motion, early, radius)
         self._goal, time = entry
         self._jacobian = self._model.jacobian(self._goal)[:3]
         self._steps_to_choice = REPLAN_STEPS + math.ceil(time / CONTROL_PERIOD)
+
+    def _last_resort(self, motion: JerkLimitedMotion, early: Array, radius: float) -> "Entry":
+        """Return a motion where none is free of collisions: among boxes none, elsewhere the earliest or nearest."""
+        if self._boxed:
+            return Entry(motion.position, PATIENCE * self._choices)
+        if len(early):
+            return self._entry(motion, early[0], radius)[0]
+        return Entry(self._search.ik.position(self._aim, motion.position).closest, 0.0)
 
     def _catch_up(self, motion: JerkLimitedMotion) -> None:
         """Command beyond the goal what joints lag behind, as under a payload; begin anew where they are blocked."""

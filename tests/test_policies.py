@@ -1,4 +1,5 @@
 import contextlib
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.core.registration import environment_names, installed
 from armctl.envs import make_worlds
 from armctl.policies import Policy, make_policy, policy_names
+from armctl.policies.catalogue import listed_policies
+from armctl.policies.find import loaded
 from armctl.policies.trainings import card_of, card_path
 from armctl.study.line_up import default_policies
 
@@ -31,16 +34,23 @@ def no_policy(env):
 
 
 SEEN = dict.fromkeys(("reach_ik", "reach_mpc", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"), "model")
+SEEN |= dict.fromkeys(("reach_impedance", "reach_rate", "reach_ruckig"), "model")
 SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo"), "state")
 SEEN |= dict.fromkeys(("bridge_moving_state_ppo", "bridge_moving_imagined"), "state")
 MEETINGS = [(name, env) for env in environment_names() for name in default_policies(env)]
+MEETINGS += [
+    (policy.name, min(env for env in environment_names() if fnmatchcase(env, policy.envs)))
+    for policy in listed_policies()
+    if policy.kind == "expert" and policy.name not in dict(MEETINGS)
+]
 MEETINGS += sorted({(path.stem, read_card(path).env) for path in AGENTS.glob("*.json")} - set(MEETINGS))
 
 
 def worlds_for(name, env_id, n):
-    """Worlds with the interface that the policy was trained with."""
+    """Worlds with the interface that the policy was trained with, or that it declares."""
     card = AGENTS / f"{name}.json"
-    return gymnasium.make_vec(env_id, num_envs=n, **(read_card(card).env_options if card.exists() else {}))
+    options = read_card(card).env_options if card.exists() else getattr(loaded(name), "interface", {})
+    return gymnasium.make_vec(env_id, num_envs=n, **options)
 
 
 @pytest.mark.one_case
@@ -125,6 +135,7 @@ def test_every_policy_that_comes_with_armctl_declares_its_family():
     families = {
         "ik": "IK", "mpc": "MPC", "ompl": "OMPL", "ppo": "PPO", "sac": "SAC", "bc": "BC", "dagger": "DAgger",
         "distil": "distillation", "imagined": "imagination", "random": None,
+        "ruckig": "Ruckig", "rate": "resolved rate", "impedance": "impedance",
     }  # fmt: skip
     for name in policy_names():
         card = card_of(name)

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from armctl.control.reach_problem import OcpParameters, ReachProblem, straight_to
 from armctl.control.streaming import CommandStream, command_for, follow
+from armctl.control.trajectory import JerkLimitedMotion
 from armctl.robot_description import JointLimits, load_arm
 
 from ..kernels.joint_profiles import TICK, limited, towards
@@ -83,3 +84,20 @@ def test_other_numbers_of_joints(dof):
     limits = JointLimits(*(np.full(dof, value) for value in (-2.0, 2.0, 3.0, 100.0, 15.0, 300.0)))
     goal = command_for(limits, np.zeros(dof), np.zeros(dof), np.full(dof, 0.01), PERIOD)
     np.testing.assert_allclose(follow(limits, np.zeros(dof), np.zeros(dof), goal, PERIOD)[0], 0.01, atol=1e-4)
+
+
+@pytest.mark.parametrize(("by_velocity", "error"), [(True, 0.008), (False, 0.03)])  # rad
+def test_drives_follow_a_jerk_limited_motion_at_its_full_acceleration(by_velocity, error):
+    motion, stream = JerkLimitedMotion(LIMITS, PERIOD, np.zeros(6)), CommandStream(LIMITS, PERIOD, np.zeros(6))
+    position, velocity, goal = np.zeros(6), np.zeros(6), np.array([1.5, -0.8, 0.4, 0.2, -0.1, 0.05])
+    for _ in range(40):
+        motion.step(goal)
+        state = motion.position, motion.velocity
+        command = stream.velocity_through(*state) if by_velocity else stream.goal_through(*state)
+        for _ in range(5):
+            wanted = command if by_velocity else towards(command, position, LIMITS)
+            velocity = limited(wanted, position, velocity, LIMITS)
+            position = position + velocity * TICK
+        np.testing.assert_allclose(stream.position, position, atol=1e-9)  # it knows where the drives are
+        assert np.abs(position - motion.position).max() < error
+    np.testing.assert_allclose(position, goal, atol=1e-4)

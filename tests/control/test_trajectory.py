@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.control.streaming import CommandStream, follow
-from armctl.control.trajectory import SAMPLE, Trajectory, along, point_to_point, smooth
+from armctl.control.trajectory import SAMPLE, JerkLimitedMotion, Trajectory, along, point_to_point, smooth
 from armctl.core.errors import ConfigurationError
 from armctl.robot_description import load_arm
 from armctl.robot_description.joint_profiles import TICK
@@ -77,6 +77,46 @@ def test_point_to_point_keeps_the_limits_and_is_as_soon_as_the_slowest_joint_can
     if straight:
         share = (trajectory.positions - start) @ (goal - start) / np.sum((goal - start) ** 2)
         np.testing.assert_allclose(trajectory.positions, start + share[:, None] * (goal - start), atol=1e-6)
+
+
+def motion_to(goals, velocities=None):
+    """Positions, velocities and accelerations (3, steps, 6) of a motion that is planned anew to each goal."""
+    motion, states = JerkLimitedMotion(LIMITS, 0.04, np.zeros(6)), []
+    for step, goal in enumerate(goals):
+        motion.step(goal, None if velocities is None else velocities[step])
+        states.append((motion.position, motion.velocity, motion.acceleration))
+    return np.array(states).swapaxes(0, 1)
+
+
+@properties
+@given(st.integers(0, 10**6), st.booleans())
+def test_a_motion_planned_anew_keeps_all_limits_whatever_its_goals(seed, moving):
+    rng = np.random.default_rng(seed)
+    goals = rng.uniform(-2, 2, (4, 6)).repeat(8, axis=0) + rng.normal(0, 0.1, (32, 6))
+    _, speeds, accelerations = motion_to(goals, rng.uniform(-4, 4, (32, 6)) if moving else None)
+    assert (np.abs(speeds) <= LIMITS.velocity + 1e-6).all()
+    assert (np.abs(accelerations) <= LIMITS.acceleration + 1e-6).all()
+    assert (np.abs(np.diff(accelerations, axis=0)) <= 0.04 * LIMITS.jerk + 1e-6).all()
+
+
+def test_a_motion_planned_anew_is_the_minimum_time_motion_if_the_goal_stays():
+    goal = np.array([1.5, -0.8, 0.4, 0.2, -0.1, 0.05])
+    positions, *_ = motion_to(np.tile(goal, (30, 1)))
+    for joint in range(6):
+        only = np.zeros(6)
+        only[joint] = goal[joint]
+        expected = point_to_point(LIMITS, np.zeros(6), only).at(0.04 * np.arange(1, 31))[:, joint]
+        np.testing.assert_allclose(positions[:, joint], expected, atol=1e-3)
+    preview = JerkLimitedMotion(LIMITS, 0.04, np.zeros(6)).preview(goal, 0.04)
+    np.testing.assert_allclose(preview[1:], positions[: len(preview) - 1], atol=1e-6)
+
+
+def test_a_moving_goal_is_reached_at_its_velocity():
+    times = 0.04 * np.arange(1, 61)[:, None]
+    velocity = np.linspace(-0.9, 0.9, 6)
+    positions, speeds, _ = motion_to(0.3 + times * velocity, np.tile(velocity, (60, 1)))
+    np.testing.assert_allclose(positions[30:], (0.3 + times * velocity)[30:], atol=1e-6)
+    np.testing.assert_allclose(speeds[30:], np.tile(velocity, (30, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -94,4 +94,6 @@ class CommandStream:
         """Return the velocities (ticks, dof) of drives in the next period, towards `velocity` (dof,)."""
         limits = self.limits
         change = limits.acceleration * TICK * np.arange(1, 1 + round(self.period / TICK))[:, None]
-        return np.clip(np.clip(velocity, -limits.velocity, limits.velocity), self._drives - change, self._drives + change)
+        return np.clip(
+            np.clip(velocity, -limits.velocity, limits.velocity), self._drives - change, self._drives + change
+        )

@@ -148,7 +148,10 @@ def smooth(limits: JointLimits, path: ArrayLike, is_free: Callable[[Trajectory],
     """
     corners = np.asarray(path, dtype=float)
     if len(corners) == 2:
-        candidates = (point_to_point(scaled(limits, pace, pace**2, pace**3), corners[0], corners[1], straight=True) for pace in PACES)
+        candidates = (
+            point_to_point(scaled(limits, pace, pace**2, pace**3), corners[0], corners[1], straight=True)
+            for pace in PACES
+        )
     else:
         candidates = (along(limits, corners, pace) for pace in PACES)
     last = along(limits, corners, PACES[-1], stops=True)

@@ -75,6 +75,11 @@ class ArmModel:
         """Return the world-aligned Jacobian at the end-effector, (6, dof): linear (m/rad) above angular (rad/rad)."""
         return self._jacobian(q, pinocchio.LOCAL_WORLD_ALIGNED)
 
+    def inertial_torques(self, q: Array, velocity: Array, acceleration: Array) -> Array:
+        """Return the torques (dof,) N m that a motion (dof,) needs without gravity: inertial and velocity-dependent."""
+        model, data = self._weightless
+        return np.asarray(pinocchio.rnea(model, data, q, velocity, acceleration))
+
     def local_jacobian(self, q: Array) -> Array:
         """Return the Jacobian (6, dof) in the end-effector's own frame: linear (m/rad) above angular (rad/rad)."""
         return self._jacobian(q, pinocchio.LOCAL)
@@ -136,6 +141,13 @@ class ArmModel:
         turn = 2 * np.pi
         near = q + turn * np.round((seed - q) / turn)
         return near + turn * ((near < self.limits.lower).astype(float) - (near > self.limits.upper))
+
+    @cached_property
+    def _weightless(self) -> tuple[Any, Any]:
+        """The arm without gravity, and its data."""
+        model = self.pinocchio.copy()
+        model.gravity.setZero()
+        return model, model.createData()
 
     @cached_property
     def base_yaw_is_vertical(self) -> bool:

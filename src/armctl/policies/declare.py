@@ -1,7 +1,8 @@
 """Declarations of what policies see, which load nothing."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from armctl.core.errors import unknown_name
@@ -41,15 +42,19 @@ def sees(
     return declare
 
 
-def made_for(envs: str, *, controls: str, kind: str = "expert") -> Callable[[Factory], Factory]:
+def made_for(
+    envs: str, *, controls: str, kind: str = "expert", interface: Mapping[str, Any] = MappingProxyType({})
+) -> Callable[[Factory], Factory]:
     """Declare, for `armctl list`, for which environments a policy is made, and what it controls there.
 
     `envs` is an id, or a pattern such as `armctl/ArmReach*`; `controls` are robots and commands, such as `ur5,
     position`; `kind` is `hybrid` if it plans with a network. All are literal texts, which are read from the source.
+    `interface` are options of the environment with which it plays unless others are requested: a `control`, say.
     """
 
     def declare(factory: Factory) -> Factory:
         factory.made_for = (envs, controls, kind)  # type: ignore[attr-defined]
+        factory.interface = dict(interface)  # type: ignore[attr-defined]
         return factory
 
     return declare

@@ -1,8 +1,9 @@
 """Worlds in which policies with different interfaces meet the same episodes.
 
 How a policy sees and commands the robot is its own affair (`Task.interface_options`): a learned agent plays with the
-interface that it was trained with, which its card names, and an installed expert with the task's own, except for
-`control` and named parts of the observation. Everything else plays with the requested one.
+interface that it was trained with, which its card names, and an installed expert with what it declares (`made_for`) and
+else the task's own, except for a requested `control` and named parts of the observation. Everything else plays with the
+requested one.
 """
 
 from collections.abc import Mapping
@@ -12,7 +13,8 @@ from typing import Any
 from armctl.core.registration import bare_id
 from armctl.disturbances import available
 from armctl.envs import EpisodeVectorEnv, make_worlds, task_of
-from armctl.policies.find import is_expert
+from armctl.policies.declare import unwrapped
+from armctl.policies.find import is_expert, loaded
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import channels_read
 from armctl.policies.trainings import card_of
@@ -58,7 +60,8 @@ class WorldsByInterface:
             return others | {name: value for name, value in card.env_options.items() if name in names}
         if card is None and is_expert(policy):
             kept = {name: value for name, value in self._options.items() if _is_for_experts(name, value)}
-            return others | kept
+            declared: dict[str, Any] = getattr(unwrapped(loaded(policy)), "interface", {})
+            return others | {name: value for name, value in declared.items() if name in self._interface} | kept
         return self._options
 
     def spared(self, policy: Any, built: Policy) -> tuple[str, ...]:
