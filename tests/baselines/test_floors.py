@@ -1,5 +1,7 @@
 """The arm's floors: resolved rate, and joint impedance in torques."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -53,7 +55,7 @@ def test_resolved_rate_moves_the_tip_straight_to_the_target(control):
 def test_impedance_holds_a_payload_without_offset():
     """The disturbance observer's integral action: at rest, the deviation from the goal is zero."""
     envs = make_worlds(REACH, 2, {"control": "torque", "tolerance": 1e-3, "disturbances": {"payload": 5}})
-    policy = make_policy("reach_impedance", envs)
+    policy: Any = make_policy("reach_impedance", envs)
     observations, _ = envs.reset(seed=[103] * 2, options={"episode": np.arange(2)})
     policy.reset(np.arange(2, dtype=np.int32))
     for _ in range(80):

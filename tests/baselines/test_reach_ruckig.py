@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,10 +17,10 @@ def commanded(disturbances, steps=20, worlds=4):
     """Commanded accelerations (steps + 1, worlds, 6) of some episodes, from rest on."""
     options = {"control": "velocity", "tolerance": 1e-3, "disturbances": disturbances}
     envs = make_worlds(REACH, worlds, options)
-    policy = make_policy("reach_ruckig", envs)
+    policy: Any = make_policy("reach_ruckig", envs)
     observations, _ = envs.reset(seed=[100] * worlds, options={"episode": np.arange(worlds)})
     policy.reset(np.arange(worlds, dtype=np.int32))
-    accelerations = [np.zeros((worlds, 6))]
+    accelerations: list[Any] = [np.zeros((worlds, 6))]
     for _ in range(steps):
         observations, *_ = envs.step(policy.act(observations))
         accelerations.append([controller._motion.acceleration for controller in policy.controllers])
@@ -69,7 +71,7 @@ def test_among_boxes_it_moves_only_where_it_is_free(sized):
 @pytest.mark.parametrize("first", [True, False])
 def test_readings_that_are_no_numbers_are_left_out(first):
     envs = make_worlds(REACH, 1, {"control": "velocity"})
-    policy = make_policy("reach_ruckig", envs)
+    policy: Any = make_policy("reach_ruckig", envs)
     observations, _ = envs.reset(seed=103)
     policy.reset(np.zeros(1, dtype=np.int32))
     for step in range(30):
