@@ -75,6 +75,36 @@ def test_an_unreadable_visual_is_told_and_the_collision_shape_is_drawn(write, sh
     assert re.search(f"Link 'upper' is drawn as it collides, since .*({reason})", "".join(load_arm(path).notes))
 
 
+RED = '<material name="red"><color rgba="0.9 0.1 0 1"/></material>'
+
+
+@pytest.mark.parametrize(
+    ("own", "robots", "expected"),
+    [
+        (RED, "", (0.9, 0.1, 0, 1)),
+        ('<material name="red"/>', RED, (0.9, 0.1, 0, 1)),
+        ('<material name="blue"/>', RED, None),
+        (RED.replace("0.9", "9"), "", None),
+        (RED.replace("0.9", "nan"), "", None),
+        (RED.replace("0.9", "much"), "", None),
+        (RED.replace(" 1", ""), "", None),
+        ("", RED, None),
+    ],
+)
+def test_a_visual_shape_has_its_colour(write, own, robots, expected):
+    coloured = visual(BOX).replace("</visual>", f"{own}</visual>")
+    path = write(arm().replace("</collision>", coloured).replace("</robot>", f"{robots}</robot>"))
+    (found,), _ = drawn(path)
+    assert found.colour == expected
+    world = build_arm_world(load_arm(path), "position")
+    (geom,) = (world.geom(i) for i in range(world.ngeom) if world.geom(i).type == mujoco.mjtGeom.mjGEOM_MESH)
+    if expected is None:
+        assert geom.matid >= 0
+    else:
+        np.testing.assert_allclose(geom.rgba, expected)
+        assert geom.matid == -1
+
+
 def test_a_link_without_a_collision_shape_is_drawn_too(write):
     path = write(arm().replace('<link name="base"/>', f'<link name="base">{visual(BOX)[12:]}</link>'))
     assert [shape.link for shape in load_arm(path).meshes] == ["base", "upper"]

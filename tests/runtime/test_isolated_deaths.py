@@ -50,10 +50,8 @@ def policy(observation):
         {death}
     return [0.5]
 """)
-    comparison = compare(
-        ["mine.py:policy", "random"], "guess_task.py:Guess", episodes=9, seed=2, isolate=True, worlds=num_envs
-    )
-    episodes = comparison.episodes[comparison.episodes.policy == "mine.py:policy"]
+    comparison = compare(["mine.py:policy"], "guess_task.py:Guess", episodes=9, seed=2, isolate=True, worlds=num_envs)
+    episodes = comparison.episodes
     assert len(episodes) == 9
     assert episodes.episode[episodes.outcome == "error"].tolist() == [1, 2]
     message = comparison.failures["mine.py:policy"]
@@ -85,8 +83,7 @@ def test_what_cannot_be_made_is_told_as_ever(home, code, says):
         compare(["mine.py:policy"], "guess_task.py:Guess", episodes=1, isolate=True)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.parametrize("doing", ["time.sleep(1e6)", "ctypes.PyDLL(None).sleep(10**6)"])  # the second holds the GIL
+@pytest.mark.parametrize(("doing", "workers"), [("time.sleep(1e6)", 2), ("ctypes.PyDLL(None).sleep(10**6)", 1)])  # GIL
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGKILL, signal.SIGTERM])
 def test_nothing_is_left_when_the_comparison_ends(home, doing, by, workers):
     (home / "mine.py").write_text(f"""
@@ -95,7 +92,7 @@ def policy(observation):
     open(f"pid-{{os.getpid()}}", "w").close()
     {doing}
 """)
-    command = ["-m", "armctl", "compare", "mine.py:policy", "random", "--env", "guess_task.py:Guess", "--episodes", "9"]
+    command = ["-m", "armctl", "compare", "mine.py:policy", "--env", "guess_task.py:Guess", "--episodes", "9"]
     process = subprocess.Popen([sys.executable, *command, "--isolate", "--workers", str(workers)], process_group=0)
     waited(lambda: list(home.glob("pid-*")), 60)
     os.killpg(process.pid, by) if by == signal.SIGINT else process.send_signal(by)

@@ -4,6 +4,7 @@ import pytest
 
 from armctl.stats import intervals as statistics
 from armctl.stats.across_tasks import (
+    SELECTING,
     Choice,
     choose,
     improvement,
@@ -18,6 +19,7 @@ from armctl.stats.across_tasks import (
 from armctl.stats.correction import holm
 from armctl.stats.intervals import Estimate, bounded_mean, success_rate
 from armctl.stats.paired import mcnemar
+from armctl.stats.sequential import block_ends
 from armctl.stats.unpaired import newcombe, unconditional
 
 A, B = Choice("a"), Choice("b")
@@ -81,6 +83,34 @@ def test_a_choice_costs_neither_the_test_nor_the_interval_anything(kinds, episod
     assert errors / runs <= most
     assert misses / runs <= most
     assert abs(np.mean(gains)) <= 3 * np.std(gains) / runs**0.5
+
+
+def test_what_stops_early_is_chosen_by_the_first_episodes():
+    rng = np.random.default_rng(0)
+    success = pd.DataFrame(rng.random((90, 3)) < [0.2, 0.6, 0.9], columns=list("abc"), dtype=float)
+    success["a"] = (np.arange(90) < SELECTING) * 1.0
+    chosen = [choose(success[:n], success[:n], ["a", "b"], any_number=True) for n in (SELECTING, 50, 90)]
+    assert {choice.policy for choice in chosen} == {"a"}
+    assert values_of(success, chosen[0]).notna().tolist() == [False] * SELECTING + [True] * (90 - SELECTING)
+    alone = choose(success, success, ["c"], any_number=True)
+    assert pairwise_by_task({"none": success}, "none", chosen[0], alone)["none"].episodes == 90 - SELECTING
+    assert pairwise_by_task({"none": success[:SELECTING]}, "none", chosen[0], alone) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [0.6, 0.95])
+def test_whoever_stops_at_the_first_claim_errs_seldom(rate, sized):
+    """All are equally good: 5 % of all studies claim at any look that one is better, at most."""
+    rng, runs, errors, ends = np.random.default_rng(0), sized(60, 600), 0, block_ends(400)[3:]
+    for _ in range(runs):
+        success = pd.DataFrame(rng.random((400, 6)) < rate, columns=list("abcdef"), dtype=float)
+        for n in ends:
+            table = success[:n]
+            choices = [choose(table, table, list(names), any_number=True) for names in ("ab", "cdef")]
+            if pairwise_by_task({"none": table}, "none", *choices)["none"].better:
+                errors += 1
+                break
+    assert errors / runs <= 0.05 + 2.5 * (0.05 * 0.95 / runs) ** 0.5
 
 
 def test_heads_to_head_are_mirror_images_and_corrected():

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from armctl.core.errors import ConfigurationError
-from armctl.study import compare
-from armctl.study.plan import comparison_plan
-from armctl.study.results import read_comparison
+from armctl.report import write_report
+from armctl.stats.robustness import change_between
+from armctl.study import compare, suite, sweep
+from armctl.study.plan import comparison_plan, suite_plan, sweep_plan
+from armctl.study.results import read_comparison, read_study
+from armctl.verdict.summary import counted_rows
 
 from ..printed import text_of
 from ..stores import timeless
@@ -159,3 +162,71 @@ def test_blocks_do_not_depend_on_where_a_run_ended():
     fixed = dataclasses.replace(plan, until_decided=False)
     assert fixed.block_ends(7, [3]) == [100]
     assert np.all(np.diff(plan.block_ends(0, [])) > 0)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("swept")
+    return sweep(**UNTIL, disturbances={"noise": [0.01, 0.02]}, out=folder), folder
+
+
+def test_each_level_of_a_sweep_stops_by_itself(swept):
+    found, folder = swept
+    numbers = [comparison.facts.planned for comparison in found.comparisons.values()]
+    assert len(numbers) == 3
+    assert 10 < min(numbers) < 60  # later than alone: corrected for three levels
+    assert found.any_number
+    assert found.looks == []
+    again = sweep(**UNTIL, disturbances={"noise": [0.01, 0.02]}, out=folder)
+    assert again.points.equals(found.points)
+    assert len(again.undisturbed.results) == again.undisturbed.resumed
+
+
+def test_changes_of_a_sweep_are_tested_at_any_number(swept):
+    found, _ = swept
+    points = found.points.set_index(["level", "policy"])
+    rows = [counted_rows(found.comparisons[name].results) for name in ("none", "noise-0.02")]
+    first, second = (of[of.policy == "reach_ik"] for of in rows)
+    expected = change_between(first, second, "success", any_number=True)
+    assert tuple(points.loc[(0.02, "reach_ik"), ["p", "change"]]) == expected
+    worse = second.assign(success=0.0)
+    assert change_between(first, worse, "success", any_number=True)[0] > change_between(first, worse, "success")[0]
+
+
+@pytest.fixture(scope="module")
+def stopped_suite(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("suite")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("armctl.study.plan.line_up", lambda env, one_of_each: ("random", "reach_ik", "reach_ppo"))
+        patch.setattr("armctl.study.plan.main_disturbances", lambda env, size: {"delay": [0, 20]})
+        yield suite(["armctl/ArmReach-v0"], episodes=60, until="decided", out=folder), folder
+
+
+@pytest.mark.slow
+def test_a_suite_stops_where_its_own_verdict_is_decided(stopped_suite):
+    found, folder = stopped_suite
+    (verdict,) = found.verdicts
+    assert verdict.classical.of_several
+    assert verdict.classical.policy == "reach_ik"
+    plain, delayed = (comparison.facts.planned for comparison in found.cells.values())
+    assert plain == 60  # equivalent, which so few episodes do not show
+    assert delayed < 60  # by far not equivalent
+    assert verdict.undisturbed.episodes == 60 - 30
+    assert verdict.pairs["delay-20.0"].better == 1
+    assert "by a test that holds at any number of them" in verdict.verdict
+    text = " ".join(text_of(found).split())
+    assert "at most 60 episodes" in text
+    assert "the first 30 undisturbed episodes select the best of them" in text
+    assert [str(one.verdict) for one in read_study(folder).verdicts] == [verdict.verdict]
+    assert "--until decided --at-most 60" in write_report(folder).read_text()
+
+
+def test_verdicts_that_are_told_together_are_corrected_together():
+    reach = ["armctl/ArmReach-v0", "armctl/ArmReachMoving-v0"]
+    together = suite_plan(reach, True, 20, 0, {"until": "decided"})
+    plain, delayed = together.cells[:2]
+    assert (together.num_verdicts_with(plain), together.num_verdicts_with(delayed)) == (2, 1)
+    levels = sweep_plan(["random", "reach_ik"], reach[0], {"noise": [0.1, 0.2]}, 9, 0, {"until": "decided"})
+    assert [levels.num_verdicts_with(cell) for cell in levels.cells] == [3, 3, 3]
+    with pytest.raises(ConfigurationError, match="repeats the times of all episodes"):
+        sweep_plan(["random", "reach_ik"], reach[0], {"slow-down": [2]}, 9, 0, {"until": "decided"})

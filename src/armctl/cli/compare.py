@@ -61,7 +61,31 @@ class StudyRequest:
             "that see the true state cannot be isolated.",
         ),
     ] = False
+    until: Annotated[
+        str | None,
+        typer.Option(
+            metavar="decided",
+            help="Stop when every pair of a verdict is better, worse or equivalent, judged by a test that holds at "
+            "any number of episodes: in each setting by itself.",
+            show_default="all episodes are played",
+        ),
+    ] = None
+    at_most: Annotated[
+        int | None,
+        typer.Option(min=1, help="Episodes that every policy plays at most, with --until.", show_default="500"),
+    ] = None
     table_format: Format = TableFormat.TABLE
+
+    def num_episodes(self, episodes: int | None, usual: Any) -> Any:
+        """Return the number of episodes, fixed or the largest one, if `usual` is the fixed one.
+
+        Raises `ConfigurationError` for options that exclude each other.
+        """
+        if self.until is None and self.at_most is not None:
+            raise ConfigurationError("--at-most is for --until decided: without it, --episodes is the number")
+        if self.until is not None and episodes is not None:
+            raise ConfigurationError("--episodes is a fixed number: with --until decided, --at-most limits it")
+        return (episodes or usual) if self.until is None else (self.at_most or 500)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,11 +104,6 @@ class TaskRequest(StudyRequest):
         """The options that `armctl.study.options.TaskOptions` has."""
         options = environment_options(self.env, self.env_options, robot=self.robot, success_return=self.success_return)
         return {"env_options": options, "return_bounds": self.return_bounds}
-
-
-def checked_baseline(name: str | None) -> str | None:
-    """Return a policy that may be there, or None."""
-    return None if name is None else checked_policy(name)
 
 
 def checked_envs(envs: list[str] | None) -> list[str] | None:
@@ -108,19 +127,6 @@ class CompareRequest(TaskRequest):
     episodes: Annotated[
         int | None, typer.Option(min=1, help="Episodes that every policy plays.", show_default="200")
     ] = None
-    until: Annotated[
-        str | None,
-        typer.Option(
-            metavar="decided",
-            help="Stop when every pair of the verdict is better, worse or equivalent, judged by a test that holds at "
-            "any number of episodes.",
-            show_default="all episodes are played",
-        ),
-    ] = None
-    at_most: Annotated[
-        int | None,
-        typer.Option(min=1, help="Episodes that every policy plays at most, with --until.", show_default="500"),
-    ] = None
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for episodes.csv and summary.json.", show_default="results/<date and time>"),
@@ -130,7 +136,7 @@ class CompareRequest(TaskRequest):
         typer.Option(
             metavar="POLICY",
             help="Compare all other policies with this one.",
-            callback=checked_baseline,
+            callback=checked_policy,
             show_default="the best classical against the best learned policy",
         ),
     ] = None
@@ -148,15 +154,6 @@ class CompareRequest(TaskRequest):
     )
     report: Annotated[bool, typer.Option("--report", help="Also write report.html, with figures and videos.")] = False
 
-    @property
-    def num_episodes(self) -> int:
-        """Number of episodes, or the largest one. Raises `ConfigurationError` for options that exclude each other."""
-        if self.until is None and self.at_most is not None:
-            raise ConfigurationError("--at-most is for --until decided: without it, --episodes is the number")
-        if self.until is not None and self.episodes is not None:
-            raise ConfigurationError("--episodes is a fixed number: with --until decided, --at-most limits it")
-        return (self.episodes or 200) if self.until is None else (self.at_most or 500)
-
 
 @verb
 def compare(request: CompareRequest) -> None:
@@ -172,7 +169,7 @@ def compare(request: CompareRequest) -> None:
     status is then 1. One that fails before its first action in each of its first 3 episodes stops.
     """
     task_options = request.task_options  # before the imports, so that a misspelt one is told at once
-    num_episodes = request.num_episodes
+    num_episodes = request.num_episodes(request.episodes, 200)
     from armctl.study.plan import comparison_plan
 
     def plan(options: Any) -> "Plan":
@@ -181,7 +178,6 @@ def compare(request: CompareRequest) -> None:
             "margin": request.margin / 100,
             "real_time": request.real_time,
             "slow_down": request.slow_down,
-            "until": request.until,
         }
         return comparison_plan(request.policies, request.env, num_episodes, request.seed, options)
 
@@ -202,7 +198,10 @@ class SweepRequest(TaskRequest):
             autocompletion=completion.disturbances,
         ),
     ] = None
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes that every policy plays at each level.")] = 100
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, help="Episodes that every policy plays at each level.", show_default="100"),
+    ] = None
     out: Annotated[
         Path | None, typer.Option(help="Folder for episodes.csv and sweep.csv.", show_default="results/<date and time>")
     ] = None
@@ -236,6 +235,7 @@ def sweep(request: SweepRequest) -> None:
     Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
     """
     task_options = request.task_options  # before the imports, so that a misspelt one is told at once
+    num_episodes = request.num_episodes(request.episodes, 100)
     from armctl.episodes.stored import SLOW_DOWN_NAME
     from armctl.study.plan import sweep_plan
 
@@ -244,7 +244,7 @@ def sweep(request: SweepRequest) -> None:
 
     def plan(options: Any) -> "Plan":
         options |= task_options | {"real_time": request.real_time}
-        return sweep_plan(request.policies, request.env, levels, request.episodes, request.seed, options)
+        return sweep_plan(request.policies, request.env, levels, num_episodes, request.seed, options)
 
     _play(request, request.out, plan, "{0}/sweep.csv has the curves.")
 
@@ -293,10 +293,11 @@ def suite(request: SuiteRequest) -> None:
     With `--workers 2`, that takes less than an hour. Every episode is written as it ends. After Ctrl-C, the same
     command with the same `--out` resumes the suite. A task that fails is reported, and does not stop the others.
     """
+    num_episodes = request.num_episodes(request.episodes, None)
     from armctl.study.plan import ALL, suite_plan
 
     def plan(options: Any) -> "Plan":
-        return suite_plan(request.envs or (ALL,), request.quick, request.episodes, request.seed, options)
+        return suite_plan(request.envs or (ALL,), request.quick, num_episodes, request.seed, options)
 
     _play(request, request.out, plan, "", report=True, video=request.video)
 
@@ -321,6 +322,7 @@ def _play(
             "workers": engine,
             "policy_seed": request.policy_seed,
             "isolate": request.isolate,
+            "until": request.until,
         }
         plan = make_plan(options)
         task = bar.add_task("", total=plan.total)

@@ -30,10 +30,12 @@ def checked_env(env: str | None) -> str | None:
     return env
 
 
-def checked_policy(name: str) -> str:
+def checked_policy(name: str | None) -> str | None:
     """Return a policy that may be there, or the agent in a folder: an unknown name is told before it is loaded."""
     from armctl.policies.names import check_policy_name, with_agent
 
+    if name is None:
+        return None
     name = with_agent(name)
     check_policy_name(name)
     return name
@@ -41,7 +43,7 @@ def checked_policy(name: str) -> str:
 
 def checked_policies(names: list[str] | None) -> list[str] | None:
     """Return policies as `checked_policy` does."""
-    return None if names is None else [checked_policy(name) for name in names]
+    return None if names is None else [name for name in map(checked_policy, names) if name is not None]
 
 
 def checked_agents(agents: list[str]) -> list[str]:

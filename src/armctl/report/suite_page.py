@@ -26,7 +26,7 @@ from armctl.stats.intervals import Estimate
 from armctl.study.names import setting_name, task_name
 from armctl.study.study import Study
 from armctl.study.suite_tables import success_test
-from armctl.study.task_verdict import CHOSEN, FIRST, TaskVerdict, suite_headline
+from armctl.study.task_verdict import TaskVerdict, rule_of_choice, suite_headline
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import SPARED
 
@@ -47,7 +47,7 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
         "headline": headline,
         "details": details,
         "suite": suite,
-        "chosen": FIRST if suite.quick else CHOSEN,
+        "chosen": rule_of_choice(verdicts, suite.quick),
         "test": success_test(verdicts),
         "folder": folder.resolve().name,
         "command": _command(suite),
@@ -70,7 +70,8 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
 
 def _command(suite: Study) -> str:
     envs = " ".join(f"--env {shlex.quote(env)}" for env in suite.envs)
-    return f"armctl suite {envs} {'--quick ' if suite.quick else ''}--episodes {suite.episodes} --seed {suite.seed}"
+    extent = f"--until decided --at-most {suite.episodes}" if suite.stops_early else f"--episodes {suite.episodes}"
+    return f"armctl suite {envs} {'--quick ' if suite.quick else ''}{extent} --seed {suite.seed}"
 
 
 def _heads(suite: Study) -> list[tuple[str, int]]:

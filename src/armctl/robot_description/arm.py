@@ -29,7 +29,8 @@ from armctl.robot_description.notes import (
     notes_on_pairs,
     tell,
 )
-from armctl.robot_description.urdf import Shape, Urdf
+from armctl.robot_description.shape import Shape
+from armctl.robot_description.urdf import Urdf
 from armctl.robot_description.xml_file import impossible_pairs, needs_xacro
 
 MAX_JERK = 300.0

@@ -1,5 +1,6 @@
 """The shapes of an arm's links as they are drawn: as its file has them, and not as the capsules that collide."""
 
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -7,7 +8,8 @@ import scipy
 
 from armctl.core.errors import ConfigurationError
 from armctl.robot_description.meshes import thinness
-from armctl.robot_description.urdf import Shape, Urdf
+from armctl.robot_description.shape import Shape
+from armctl.robot_description.urdf import Urdf
 
 
 def drawn_shapes(source: Urdf, collisions: tuple[Shape, ...]) -> tuple[Shape, ...]:
@@ -35,4 +37,4 @@ def _triangulated(shape: Shape) -> Shape:
     first, second, third = vertices[triangles].swapaxes(0, 1)
     inward = (np.cross(second - first, third - first) * hull.equations[:, :3]).sum(axis=1) < 0
     triangles[inward] = triangles[inward, ::-1]
-    return Shape(shape.link, vertices, triangles)
+    return replace(shape, vertices=vertices, triangles=triangles)

@@ -8,7 +8,7 @@ import itertools
 import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.file_notes import notes_on_file
 from armctl.robot_description.meshes import PATH, MeshError, Meshes, rings
+from armctl.robot_description.shape import Shape, colour_of
 from armctl.robot_description.xml_file import Element, read_xml, short
 
 FULL_TURN = 2 * math.pi
@@ -44,15 +45,6 @@ MENDED, ROUND_OFF = 0.01, 1e-12
 """Shares of a principal moment that the two others may miss together: of a file's digits, and of those of a float."""
 
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """A shape in its link's frame: vertices (k, 3) m, and triangles (m, 3) if it is a mesh."""
-
-    link: str
-    vertices: Array
-    triangles: NDArray[np.int32]
 
 
 class Urdf:
@@ -122,7 +114,10 @@ class Urdf:
         visuals = self._links[link].findall("visual")
         if len(visuals) > MAX_SHAPES:
             raise self._error(f"it has {len(visuals)} visual shapes; at most {MAX_SHAPES} are allowed")
-        return [self._shape(link, visual, self._visual_meshes) for visual in visuals]
+        return [
+            replace(self._shape(link, visual, self._visual_meshes), colour=colour_of(visual, self._robot))
+            for visual in visuals
+        ]
 
     def _copied_inertial(self, link: str, inertial: Element) -> Element:
         copy = ElementTree.Element("inertial")

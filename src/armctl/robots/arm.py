@@ -168,7 +168,7 @@ def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
         _link(spec, mesh.link).add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
-            material="plastic" if i % 2 else "aluminium",
+            **({"material": "plastic" if i % 2 else "aluminium"} if mesh.colour is None else {"rgba": mesh.colour}),
             group=_VISUAL_GROUP,
             contype=0,
             conaffinity=0,

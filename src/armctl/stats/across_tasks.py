@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.stats.correction import holm
-from armctl.stats.difference import EQUIVALENCE, SIGNIFICANT, significant, within
+from armctl.stats.difference import EQUIVALENCE, SIGNIFICANT, SuccessIntervals, significant, within
 from armctl.stats.intervals import (
     FEWEST,
     Bounds,
@@ -31,6 +31,7 @@ from armctl.stats.intervals import (
     success_rate,
 )
 from armctl.stats.paired import mcnemar, mover
+from armctl.stats.sequential import ConfidenceSequence
 from armctl.stats.unpaired import newcombe, unconditional
 
 if TYPE_CHECKING:
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
 
 SELECTION_STRIDE = 3
 """Distance between two episodes that select a policy, and do not count for it."""
+SELECTING = 30
+"""Episodes that select a policy, the first ones, where a cell stops when it is decided: the choice has to be made by
+then, for a test of a policy that changes holds at no number of episodes."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +51,34 @@ class Choice:
     policy: str
     of_several: bool = False
     """True if it was chosen from several: the episodes that selected it do not count for it."""
+    any_number: bool = False
+    """True if what is concluded is to hold at any number of episodes."""
+
+    def selects(self, episodes: "pd.Index[int]") -> NDArray[np.bool_]:
+        """Return which of the `episodes` selected it from several."""
+        if not self.of_several:
+            return np.zeros(len(episodes), dtype=bool)
+        if self.any_number:
+            return np.asarray(episodes < SELECTING, dtype=bool)
+        return np.asarray(episodes % SELECTION_STRIDE == SELECTION_STRIDE - 1, dtype=bool)
 
 
-def choose(success: "pd.DataFrame", returns: "pd.DataFrame", candidates: Sequence[str]) -> Choice:
+def choose(
+    success: "pd.DataFrame", returns: "pd.DataFrame", candidates: Sequence[str], any_number: bool = False
+) -> Choice:
     """Return the best of several policies in every third episode (numbers 2, 5, 8 and so on).
+
+    For what is to hold at `any_number` of episodes, that is the best in the first `SELECTING` ones.
 
     The other episodes judge it. The best in the episodes that judge it would flatter the larger kind (the winner's
     curse), and choosing crosswise, each half of the episodes for the other, would make the halves depend on each other:
     McNemar's test at 5 % erred in up to 9 % of all cases. The best has the highest success, then the highest return,
     then the first place.
     """
-    rows = success.index[_selects(success.index)]
+    rows = success.index[Choice("", of_several=True, any_number=any_number).selects(success.index)]
     scores = {name: (success.loc[rows, name].mean(), returns.loc[rows, name].mean()) for name in candidates}
     best = max(candidates, key=lambda name: tuple(np.nan_to_num(scores[name], nan=-np.inf)))
-    return Choice(best, len(candidates) > 1)
+    return Choice(best, len(candidates) > 1, any_number)
 
 
 def values_of(table: "pd.DataFrame", choice: Choice) -> "pd.Series[float]":
@@ -68,11 +86,7 @@ def values_of(table: "pd.DataFrame", choice: Choice) -> "pd.Series[float]":
     import pandas as pd
 
     values = table[choice.policy] if choice.policy in table else pd.Series(math.nan, table.index)
-    return values.mask(_selects(table.index)) if choice.of_several else values
-
-
-def _selects(episodes: "pd.Index[int]") -> NDArray[np.bool_]:
-    return np.asarray(episodes % SELECTION_STRIDE == SELECTION_STRIDE - 1, dtype=bool)
+    return values.mask(choice.selects(table.index))
 
 
 @dataclass(frozen=True)
@@ -105,6 +119,8 @@ class TaskPair:
     """Episodes that the classical and that the learned policy won, if they played different ones; else None."""
     sample_sizes: tuple[int, int] = (0, 0)
     """Numbers of these episodes."""
+    anytime: SuccessIntervals | None = None
+    """Intervals that hold at any number of episodes, as `p` then does too; None: they are for a fixed number."""
 
     @property
     def difference(self) -> Estimate:
@@ -112,6 +128,8 @@ class TaskPair:
         return self._difference_with(0.95)
 
     def _difference_with(self, confidence: float) -> Estimate:
+        if self.anytime is not None:
+            return self.anytime.at(confidence)
         if self.wins is None:
             return mover(self.only_classical, self.only_learned, self.episodes, confidence)
         (classical, learned), sizes = self.wins, self.sample_sizes
@@ -153,15 +171,20 @@ class TaskPair:
 def pairwise_by_task(
     cells: "Mapping[str, pd.DataFrame]", undisturbed: str, classical: Choice, learned: Choice, *, paired: bool = True
 ) -> dict[str, TaskPair]:
-    """Compare both choices in each setting of a task in which both have played, on the same episodes if `paired`."""
+    """Compare both choices in each setting of a task in which both have played, on the same episodes if `paired`.
+
+    What is concluded holds at any number of episodes if that was asked for the choices.
+    """
     scores = {name: (values_of(table, classical), values_of(table, learned)) for name, table in cells.items()}
-    compared = {setting: _pair(*of_choices, paired) for setting, of_choices in scores.items()}
+    any_number = classical.any_number and paired
+    compared = {setting: _pair(*of_choices, paired, any_number) for setting, of_choices in scores.items()}
     pairs = {setting: pair for setting, pair in compared.items() if pair}
     disturbed = [setting for setting in pairs if setting != undisturbed]
     changes = {
         setting: change
         for setting in disturbed
-        if undisturbed in pairs and (change := _change(scores[undisturbed], scores[setting], paired)) is not None
+        if undisturbed in pairs
+        and (change := _change(scores[undisturbed], scores[setting], paired, any_number)) is not None
     }
     change_p = dict(zip(changes, holm([change.p for change in changes.values()]), strict=True))
     for setting, p in zip(disturbed, holm([pairs[setting].p for setting in disturbed]), strict=True):
@@ -172,12 +195,19 @@ def pairwise_by_task(
     return pairs
 
 
-def _pair(classical: "pd.Series[float]", learned: "pd.Series[float]", paired: bool) -> TaskPair | None:
+def _pair(
+    classical: "pd.Series[float]", learned: "pd.Series[float]", paired: bool, any_number: bool
+) -> TaskPair | None:
     """Return the test of success by episode; None without an episode that is needed for it."""
     if paired:
-        gain = (classical - learned).dropna()
-        only_a, only_b = int((gain > 0).sum()), int((gain < 0).sum())
-        return TaskPair(len(gain), only_a, only_b, mcnemar(only_a, only_b)) if len(gain) else None
+        gains = np.asarray((classical - learned).dropna(), dtype=np.float64)
+        only_a, only_b = int((gains > 0).sum()), int((gains < 0).sum())
+        if not len(gains):
+            return None
+        if not any_number:
+            return TaskPair(len(gains), only_a, only_b, mcnemar(only_a, only_b))
+        sequence = ConfidenceSequence(gains, (-1.0, 1.0))
+        return TaskPair(len(gains), only_a, only_b, sequence.p(), anytime=sequence.intervals())
     sizes = len(classical.dropna()), len(learned.dropna())
     wins = int(classical.sum()), int(learned.sum())
     if not all(sizes):
@@ -187,26 +217,33 @@ def _pair(classical: "pd.Series[float]", learned: "pd.Series[float]", paired: bo
 
 
 def mean_difference(
-    a: "pd.Series[float]", b: "pd.Series[float]", bounds: Bounds, paired: bool
+    a: "pd.Series[float]", b: "pd.Series[float]", bounds: Bounds, paired: bool, any_number: bool = False
 ) -> MeanDifference | None:
     """Return the mean of scores by episode of a minus those of b; None without an episode that is needed for it."""
     if paired:
         gains = np.asarray((a - b).dropna(), dtype=np.float64)
-        return bounded_difference(gains, (bounds[0] - bounds[1], bounds[1] - bounds[0]))
+        return _mean_of_pairs(gains, (bounds[0] - bounds[1], bounds[1] - bounds[0]), any_number)
     samples = [np.asarray(sample.dropna(), dtype=np.float64) for sample in (a, b)]
     return bounded_sum(samples, [1, -1], bounds) if all(map(len, samples)) else None
+
+
+def _mean_of_pairs(gains: Array, bounds: Bounds, any_number: bool) -> MeanDifference | None:
+    if not any_number or not len(gains):
+        return bounded_difference(gains, bounds)
+    return ConfidenceSequence(gains, bounds).mean_difference()
 
 
 def _change(
     undisturbed: "tuple[pd.Series[float], pd.Series[float]]",
     disturbed: "tuple[pd.Series[float], pd.Series[float]]",
     paired: bool,
+    any_number: bool,
 ) -> MeanDifference | None:
     """Return the change of a difference in success, episode by episode if `paired`; None for few episodes."""
     if paired:
         (a, b), (other_a, other_b) = disturbed, undisturbed
         changes = np.asarray((a - b - (other_a - other_b)).dropna(), dtype=np.float64)
-        return bounded_difference(changes, (-2.0, 2.0)) if len(changes) >= FEWEST else None
+        return _mean_of_pairs(changes, (-2.0, 2.0), any_number) if len(changes) >= FEWEST else None
     samples = [np.asarray(sample.dropna(), dtype=np.float64) for sample in (*disturbed, *undisturbed)]
     return bounded_sum(samples, [1, -1, -1, 1], (0.0, 1.0)) if min(map(len, samples)) >= FEWEST else None
 

@@ -1,7 +1,7 @@
 """Correction of p-values for their number."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,11 @@ class AdjustedP:
     """Number of tests for which success, steps and returns were corrected together."""
     pairs: int
     """Number of pairs for which the sign test was corrected."""
+
+    def among(self, num_verdicts: int) -> "AdjustedP":
+        """Return the p-values after a further correction for so many verdicts (Bonferroni)."""
+        by_name = {name: getattr(self, name) for name in ("success", "steps", "returns", "higher")}
+        return replace(self, **{name: num_verdicts * p for name, p in by_name.items() if p is not None})
 
 
 def holm_adjusted(pairs: Sequence[Difference], baseline: str | None = None) -> list[AdjustedP]:

@@ -10,8 +10,9 @@ import scipy
 
 from armctl.core.arrays import Array
 from armctl.stats.difference import MARGIN, Difference
-from armctl.stats.intervals import paired_superiority, sign_of_difference
+from armctl.stats.intervals import sign_of_difference
 from armctl.stats.paired import mcnemar
+from armctl.stats.sequential import ConfidenceSequence
 from armctl.stats.trainings import difference_over_trainings, mean_over_trainings, superiority_over_trainings
 from armctl.stats.unpaired import unconditional
 
@@ -111,11 +112,12 @@ def onsets(levels: Iterable[float], significant: Iterable[bool], holds: Iterable
 
 
 def change_between(
-    undisturbed: "pd.DataFrame", disturbed: "pd.DataFrame", score: str, paired: bool = True
+    undisturbed: "pd.DataFrame", disturbed: "pd.DataFrame", score: str, paired: bool = True, any_number: bool = False
 ) -> tuple[float, float]:
     """Return the p-value for no change in the `score` of a policy, from its rows of `episodes.csv`, and the change.
 
-    (1, 0) if there is nothing to compare. Episodes of the same number are the same ones if they are `paired`.
+    (1, 0) if there is nothing to compare. Episodes of the same number are the same ones if they are `paired`. The
+    p-value holds at `any_number` of them if asked for, except for trainings.
     """
     tables = (rows.pivot(index="policy", columns="episode", values=score) for rows in (undisturbed, disturbed))
     finished = [table.astype(float).dropna(axis=1) for table in tables]
@@ -130,11 +132,10 @@ def change_between(
     if len(first) > 1:  # a group: over its trainings and episodes
         change = mean_over_trainings(sign_of_difference(second, first), (-1.0, 1.0))
         return 1.0 if change.p is None else change.p, change.mean.value
-    if score == "return":
-        higher = paired_superiority(second[0], first[0])
-        return higher.p, 2 * higher.probability.value - 1
-    lost, gained = int((first > second).sum()), int((first < second).sum())
-    return mcnemar(lost, gained), (gained - lost) / first.shape[1]
+    signs = sign_of_difference(second[0], first[0])
+    if any_number:
+        return ConfidenceSequence(signs, (-1.0, 1.0)).p(), float(signs.mean())
+    return mcnemar(int((signs < 0).sum()), int((signs > 0).sum())), float(signs.mean())
 
 
 def _unpaired_change(first: Array, second: Array, score: str) -> tuple[float, float]:

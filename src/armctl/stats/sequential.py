@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.stats.difference import UNCERTAINTY, Difference, Pair, Scores, Simultaneous, SuccessIntervals
-from armctl.stats.intervals import Bounds, Estimate, Superiority, sign_of_difference
+from armctl.stats.intervals import Bounds, Estimate, MeanDifference, Superiority, sign_of_difference
 from armctl.stats.paired import counts_of_pairs
 
 PRIOR = 0.25
@@ -123,6 +123,14 @@ class ConfidenceSequence:
         value, (low, high) = float(self.values.mean()), self._limits[confidence]
         return Estimate(value, min(low, value), max(high, value))
 
+    def intervals(self, wide: float = 0.95) -> SuccessIntervals:
+        """Return the mean with its intervals of 95 %, of the confidence `wide`, and of any other."""
+        return SuccessIntervals(self.estimate(), self.estimate(wide)).by(self.estimate)
+
+    def mean_difference(self, wide: float = 0.95) -> MeanDifference:
+        """Return the mean with its intervals of 95 % and of the confidence `wide`, and its p-value."""
+        return MeanDifference(self.estimate(), self.estimate(wide), self.p())
+
     def p(self) -> float:
         """Return the two-sided p-value for a mean of 0, from the largest capital of whoever bets on the present sign.
 
@@ -156,7 +164,7 @@ def sequential_difference(a: str, b: str, scores: Scores, num_comparisons: int =
         gains = ConfidenceSequence((won - other)[0], (-1.0, 1.0))
         success = {
             "success_p": gains.p(),
-            "anytime": SuccessIntervals(gains.estimate(), gains.estimate(wide)).by(gains.estimate),
+            "anytime": gains.intervals(wide),
             "wins": (int(won.sum()), int(other.sum())),
             **dict(zip(("both_won", "only_a", "only_b", "neither"), counts, strict=True)),
         }

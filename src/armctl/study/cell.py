@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv
 from armctl.episodes.failures import PolicyDisqualified
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import CellWriter, Store
-from armctl.episodes.stored import POLICY_SEED
+from armctl.episodes.stored import POLICY_SEED, UNDISTURBED
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy, WorldsByInterface
 from armctl.rollout.decision_times import TimedPolicy
@@ -29,13 +29,15 @@ from armctl.rollout.parallel import (
     play_in_workers,
 )
 from armctl.rollout.real_time import RealTimePolicy, check_real_time
-from armctl.rollout.seeding import SeedCheck, check_seed
+from armctl.rollout.seeding import check_seed
 from armctl.runtime.identity import identity
 from armctl.runtime.isolation import IsolatedPolicy, close
 from armctl.runtime.provenance import RunMeter, machine, versions
 from armctl.runtime.workers import WorkersFailed
 from armctl.study.comparison import Comparison, concluded
+from armctl.study.contenders import Task, contenders
 from armctl.study.events import Events, check_return
+from armctl.study.names import SUITE
 from armctl.study.plan import Cell, Plan
 from armctl.verdict.facts import Facts, PolicyFacts, training_cost_of
 from armctl.verdict.sentences import is_decided
@@ -49,16 +51,6 @@ NO_PAIRS = (
     "--until decided"
 )
 BlockPlayer = Callable[[Mapping[str, Sequence[int]], Collection[str]], Generator[RolloutBatch, None, None]]
-
-
-@dataclass
-class Task:
-    """Values that the cells of a task share while they are played."""
-
-    lower_bound_steps: dict[int, float] = field(default_factory=dict)
-    """Lower bounds by episode, as in `rollouts`."""
-    seeding: SeedCheck | None = None
-    """None before the first cell is played."""
 
 
 class Recorder:
@@ -245,7 +237,11 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         def decided(episodes: int) -> bool:
             results = _results(writer, line, events)
             facts = line.facts(events, notes, len(writer.kept))
-            return is_decided(results[results.column("episode") < episodes], facts)
+            results = results[results.column("episode") < episodes]
+            if plan.kind != SUITE:
+                return is_decided(results, facts, plan.num_verdicts_with(cell))
+            so_far = concluded(writer.identity, cell.env_options, facts, results, writer.runs)
+            return task.is_decided(cell, so_far, plan.num_verdicts_with(cell))
 
         _play(line, writer, task.lower_bound_steps, meter, events, session, decided)
         results = _results(writer, line, events)
@@ -259,6 +255,8 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         except ResultsError as error:
             facts.failures["results"] = str(error)
         comparison = concluded(writer.identity, cell.env_options, facts, results, runs, events.tracebacks)
+        if plan.kind == SUITE and cell.setting == UNDISTURBED:
+            task.contenders = contenders(comparison, plan.until_decided)
         recorder.finish(comparison)
         return comparison
 

@@ -24,6 +24,10 @@ class StudyOptions(TypedDict, total=False):
     """Play each policy in a process of its own, which gets observations only: no world, seed or episode number (see
     `armctl.runtime.isolation`). Its episodes are the same, and decision times are measured in that process. Installed
     policies that see the true state play as ever, and are named; others that see it are refused."""
+    until: Literal["decided"] | None
+    """`decided`: play in blocks, and stop in each cell when every pair of its verdict is decided, at a level that is
+    corrected for the number of cells that are judged together; `episodes` is then the most. What is concluded holds at
+    any number of episodes (see `armctl.stats.sequential`). By default, all episodes are played."""
     policy_seed: int | None
     """Secret from which policies draw their own random numbers (see `armctl.envs.policy_seed`), so that another study
     draws the same. By default, that of the folder, or a new one; it is in the summary."""
@@ -55,10 +59,6 @@ class ComparisonOptions(TaskOptions, total=False):
     """Difference in success, as a share, below which policies count as equivalent; 0.02 by default."""
     slow_down: float
     """Factor of the decision times, in real time."""
-    until: Literal["decided"] | None
-    """`decided`: play in blocks, and stop when every pair of the verdict is decided; `episodes` is then the most. What
-    is concluded holds at any number of episodes (see `armctl.stats.sequential`). By default, all episodes are played.
-    """
 
 
 def checked_options(options: Mapping[str, Any], kind: type) -> None:

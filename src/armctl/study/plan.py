@@ -140,6 +140,17 @@ class Plan:
             return [self.episodes]
         return [n for n in sorted({*block_ends(self.episodes), *judged}) if kept <= n <= self.episodes]
 
+    def num_verdicts_with(self, cell: Cell) -> int:
+        """Return the number of cells, this one included, whose verdicts are corrected for each other.
+
+        Those of all tasks undisturbed; disturbed, those of its task, or all of a sweep.
+        """
+        if self.kind != SUITE:
+            return len(self.cells)
+        if cell.setting == UNDISTURBED:
+            return len(self.tasks)
+        return next(len(task.cells) - 1 for task in self.tasks if task.env == cell.env)
+
     def num_envs_in(self, cell: Cell) -> int:
         """Return the number of worlds that share a policy's calls: one if the world does not wait for decisions."""
         return 1 if cell.real_time else min(self.num_envs, self.episodes)
@@ -157,12 +168,7 @@ def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options:
     baseline, margin = options.get("baseline"), options.get("margin", MARGIN)
     if baseline is not None and baseline not in (compared := learners(list(cell.players), cell.groups)):
         raise unknown_name("baseline among the compared policies", baseline, compared)
-    if (until := options.get("until")) not in (None, DECIDED):
-        raise unknown_name("condition to stop at (until)", str(until), [DECIDED])
-    if until and len(cell.players) < 2:
-        raise ConfigurationError(f"{ONLY_PLAYER.format(name=', '.join(cell.players))}: leave out --until {DECIDED}")
-    if until and cell.groups:
-        raise ConfigurationError(f"{', '.join(cell.groups)}: {NOT_FOR_TRAININGS}: leave out --until {DECIDED}")
+    _check_decidable(cell, shared)
     if not 0 < margin < 1:
         raise ConfigurationError(f"the margin is a difference in success between 0 and 1, not {margin:g}")
     real_time = real_time_of(options.get("real_time"), options.get("slow_down", 1.0), cell.env, shared["seed"])
@@ -171,9 +177,7 @@ def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options:
             check_measurable(shared["num_envs"], shared["engine"].workers)
         check_recorded(real_time, cell.players, episodes)
     task = TaskPlan(cell.env, [replace(cell, real_time=real_time)])
-    return Plan(
-        COMPARISON, [task], **shared, baseline=baseline, margin=margin, until_decided=until == DECIDED, envs=[cell.env]
-    )
+    return Plan(COMPARISON, [task], **shared, baseline=baseline, margin=margin, envs=[cell.env])
 
 
 def sweep_plan(
@@ -182,7 +186,9 @@ def sweep_plan(
     """Plan an undisturbed cell, and one for each level of each disturbance. Raise as `comparison_plan` does."""
     checked_options(options, TaskOptions)
     shared = extent(episodes, evaluation_seed(seed), options)
-    task = _task_plan(_undisturbed(policies, env, options), disturbances, options.get("real_time"), "", shared)
+    cell = _undisturbed(policies, env, options)
+    _check_decidable(cell, shared)
+    task = _task_plan(cell, disturbances, options.get("real_time"), "", shared)
     return Plan(SWEEP, [task], **shared, envs=[task.env])
 
 
@@ -217,10 +223,20 @@ def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
     """Return the arguments of `Plan` that all kinds share. Raise `ConfigurationError`."""
     num_envs, workers = options.get("worlds", 1), options.get("workers", 1)
     check_counts(episodes=episodes, worlds=num_envs)
-    isolate = options.get("isolate", False)
+    if (until := options.get("until")) not in (None, DECIDED):
+        raise unknown_name("condition to stop at (until)", str(until), [DECIDED])
     return {
-        "episodes": episodes, "seed": seed, "num_envs": num_envs, "engine": engine_of(workers), "isolate": isolate
+        "episodes": episodes, "seed": seed, "num_envs": num_envs, "engine": engine_of(workers),
+        "isolate": options.get("isolate", False), "until_decided": until == DECIDED,
     }  # fmt: skip
+
+
+def _check_decidable(cell: Cell, shared: Mapping[str, Any]) -> None:
+    """Raise `ConfigurationError` if a study is to stop when a cell is decided which has nothing to decide."""
+    if shared["until_decided"] and len(cell.players) < 2:
+        raise ConfigurationError(f"{ONLY_PLAYER.format(name=', '.join(cell.players))}: leave out --until {DECIDED}")
+    if shared["until_decided"] and cell.groups:
+        raise ConfigurationError(f"{', '.join(cell.groups)}: {NOT_FOR_TRAININGS}: leave out --until {DECIDED}")
 
 
 def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:
@@ -245,6 +261,8 @@ def _task_plan(
     recorded = None if real_time is None else read_recording(Path(real_time), 1.0, env, shared["seed"])
     source = ""
     if SLOW_DOWN_NAME in levels:
+        if shared["until_decided"]:
+            raise ConfigurationError(f"{SLOW_DOWN_NAME} repeats the times of all episodes: leave out --until {DECIDED}")
         with closing(make_worlds(env, 1, options)) as vec_env:
             check_real_time(bare_id(env), vec_env)
         if recorded is None:

@@ -12,7 +12,8 @@ from armctl.episodes.store import Store
 from armctl.episodes.stored import stored_policy_seed
 from armctl.policies import learners
 from armctl.rollout.real_time import recorded_times
-from armctl.study.cell import Recorder, Session, Task, play_cell
+from armctl.study.cell import Recorder, Session, play_cell
+from armctl.study.contenders import Task
 from armctl.study.names import COMPARISON, SUITE
 from armctl.study.options import StudyOptions
 from armctl.study.output import check_output, remove_output, write_output

@@ -68,6 +68,11 @@ class Study(Displayed):
         return swept if self.kind == SWEEP else swept.comparisons[UNDISTURBED]
 
     @property
+    def stops_early(self) -> bool:
+        """True if cells stop when they are decided, and `episodes` is the largest number."""
+        return any(swept.any_number for swept in self.tasks.values())
+
+    @property
     def storage_failures(self) -> dict[str, str]:
         """The failures of what was asked for."""
         return self.result.failures

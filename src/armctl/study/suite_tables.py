@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from armctl.stats.across_tasks import League
-from armctl.study.task_verdict import CHOSEN, FIRST, TaskVerdict, chosen
+from armctl.study.task_verdict import TaskVerdict, chosen, rule_of_choice
 from armctl.verdict.summary_tables import UNCONDITIONAL
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Table, p_value, percent
 
@@ -32,12 +32,19 @@ def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick:
                 "reversals": verdict.reversals,
             }
         )  # fmt: skip
+    early = stops_early(verdicts)
+    interval = "95 % interval at any number of episodes" if early else "MOVER's 95 % interval"
     caption = (
-        f"{FIRST if quick else CHOSEN} Undisturbed. Difference with MOVER's 95 % interval; "
+        f"{rule_of_choice(verdicts, quick)} Undisturbed. Difference with {interval}; "
         f"p: {success_test(verdicts)}, after Holm's correction for all tasks, and for success and steps together."
     )
-    title = f"{len(rows)} tasks: {episodes} episodes of seed {seed} in each setting"
+    title = f"{len(rows)} tasks: {'at most ' * early}{episodes} episodes of seed {seed} in each setting"
     return Table("tasks", title, columns, rows, records, caption)
+
+
+def stops_early(verdicts: Sequence[TaskVerdict]) -> bool:
+    """Return True if cells stopped when they were decided."""
+    return any(pair.anytime is not None for verdict in verdicts if (pair := verdict.undisturbed))
 
 
 def success_test(verdicts: Sequence[TaskVerdict]) -> str:
@@ -46,6 +53,8 @@ def success_test(verdicts: Sequence[TaskVerdict]) -> str:
     different = f"{UNCONDITIONAL}'s exact test, on different episodes"
     if paired == {False}:
         return different
+    if stops_early(verdicts):
+        return "a betting test that holds at any number of episodes, on the same episodes"
     return f"McNemar's exact test, on the same episodes{f', or {different}' if False in paired else ''}"
 
 

@@ -34,7 +34,8 @@ COLUMNS = (
 
 `p` is McNemar's p-value for equal success in the same episodes without the disturbance, or the sign test's for equal
 return if success is unknown; for a group of trainings, that of random weights of trainings and of episodes; where the
-environment does not obey its seed, that of `unconditional`. `change` is
+environment does not obey its seed, that of `unconditional`; and where cells stop when they are decided, that of
+`armctl.stats.sequential`. `change` is
 the tested statistic: success minus that without the disturbance, or the share of episodes with a higher return minus
 the share with a lower one. `spared` is True where the disturbance does not reach the policy, which is in no test then:
 `p` and `change` are NaN."""
@@ -105,7 +106,7 @@ class Sweep(Displayed):
                     values = (
                         name, level, policy.policy, policy.episodes, *_numbers(policy.success),
                         *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
-                        *((1.0, 0.0) if first else _change(undisturbed_rows, disturbed_rows, policy, self.paired)),
+                        *((1.0, 0.0) if first else self._change(undisturbed_rows, disturbed_rows, policy)),
                         self.units[name], policy.sees, bool(policy.spared),
                     )  # fmt: skip
                     rows.append(dict(zip(COLUMNS, values, strict=True)))
@@ -115,6 +116,11 @@ class Sweep(Displayed):
     def paired(self) -> bool:
         """True if episodes of the same number are the same ones, whoever plays them."""
         return all(comparison.facts.paired for comparison in self.comparisons.values())
+
+    @property
+    def any_number(self) -> bool:
+        """True if cells stop when they are decided, so that tests have to hold at any number of episodes."""
+        return self.paired and any(cell.facts.at_most is not None for cell in self.comparisons.values())
 
     @property
     def pairs(self) -> dict[PairKey, Difference]:
@@ -128,8 +134,24 @@ class Sweep(Displayed):
 
     @property
     def looks(self) -> list[int]:
-        """Numbers of episodes after which earlier runs of any comparison printed a verdict."""
+        """Numbers of episodes after which earlier runs of any comparison printed a verdict.
+
+        None where tests hold at any number.
+        """
+        if self.any_number:
+            return []
         return sorted({episodes for comparison in self.comparisons.values() for episodes in comparison.looks})
+
+    def _change(
+        self, undisturbed_rows: "pd.DataFrame", disturbed_rows: "pd.DataFrame", policy: PolicySummary
+    ) -> tuple[float, float]:
+        """Return the p-value for no change, and the change: see `COLUMNS`."""
+        if policy.spared:
+            return math.nan, math.nan
+        names = policy.trainings or [policy.policy]
+        first, second = (rows[rows.policy.isin(names)] for rows in (undisturbed_rows, disturbed_rows))
+        score = "return" if policy.success is None else "success"
+        return change_between(first, second, score, self.paired, self.any_number)
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(self.points.policy)) or "no policy"
@@ -142,15 +164,3 @@ def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:
     if estimate is None:
         return math.nan, math.nan, math.nan
     return estimate.value, *estimate.bounds
-
-
-def _change(
-    undisturbed_rows: "pd.DataFrame", disturbed_rows: "pd.DataFrame", policy: PolicySummary, paired: bool
-) -> tuple[float, float]:
-    """Return the p-value for no change, and the change: see `COLUMNS`."""
-    if policy.spared:
-        return math.nan, math.nan
-    names = policy.trainings or [policy.policy]
-    first, second = (rows[rows.policy.isin(names)] for rows in (undisturbed_rows, disturbed_rows))
-    score = "return" if policy.success is None else "success"
-    return change_between(first, second, score, paired)

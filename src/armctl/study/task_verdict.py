@@ -10,12 +10,21 @@ from armctl.core.registration import bare_id, short_name
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import isolation, privileges
 from armctl.runtime.provenance import looks_in_words, with_looks
-from armctl.stats.across_tasks import Choice, TaskPair, choose, mean_difference, pairwise_by_task, rate_of, values_of
+from armctl.stats.across_tasks import (
+    SELECTING,
+    Choice,
+    TaskPair,
+    mean_difference,
+    pairwise_by_task,
+    rate_of,
+    values_of,
+)
 from armctl.stats.correction import holm
 from armctl.stats.difference import MARGIN, within
 from armctl.stats.intervals import FEWEST, Estimate
 from armctl.stats.robustness import listed
 from armctl.study.comparison import Comparison
+from armctl.study.contenders import contenders, success_table
 from armctl.study.task_results import Sweep
 from armctl.verdict.summary import PolicySummary, counted_rows
 from armctl.verdict.tables import p_value, points, size
@@ -30,6 +39,11 @@ CHOSEN = (
     "the best of them, and only the other episodes evaluate it: so the choice does not bias the verdict."
 )
 """Rule of `armctl.stats.across_tasks.choose`, as tables and pages state it."""
+CHOSEN_AT_FIRST = (
+    f"The best classical and the best learned policy. If a kind has several, the first {SELECTING} undisturbed "
+    "episodes select the best of them, and only the later ones evaluate it: so the choice does not bias the verdict."
+)
+"""The same, where cells stop when they are decided."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +115,8 @@ class TaskVerdict:
             kind = _kind(pair.faster).lower()
             parts.append(f"{kind} takes {size(pair.steps)} fewer steps, p = {p_value(pair.steps_p)}")
         parts += ["on different episodes"] * (pair.wins is not None)
+        if pair.anytime is not None:
+            parts.append(f"after {pair.episodes:,} episodes, by a test that holds at any number of them")
         if self.looks:
             parts.append(looks_in_words(self.looks))
         return "; ".join(parts)
@@ -198,13 +214,7 @@ def task_verdict(sweep: Sweep) -> TaskVerdict:
     plain = sweep.undisturbed
     if plain is None or UNDISTURBED not in tables:
         return TaskVerdict(sweep.env, plain.policies if plain else [], {}, labels)
-    rows = counted_rows(plain.results)
-    returns = rows.pivot(index="episode", columns="policy", values="return").reindex(tables[UNDISTURBED].index)
-    kinds: list[Choice | None] = []
-    for learned in (False, True):
-        names = [policy.policy for policy in plain.policies if policy.learned == learned]
-        kinds.append(choose(tables[UNDISTURBED], returns, names) if names else None)
-    classical, trained = kinds
+    classical, trained = contenders(plain, sweep.any_number)
     verdict = TaskVerdict(sweep.env, plain.policies, tables, labels, classical, trained, {}, sweep.looks, spared)
     pairs: dict[str, TaskPair] = {}
     if classical and trained:
@@ -223,7 +233,8 @@ def _with_steps(pair: TaskPair, plain: Comparison, classical: Choice | None, lea
     rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), time_limit))
     table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
     steps = (1.0, float(time_limit))
-    result = mean_difference(values_of(table, classical), values_of(table, learned), steps, plain.facts.paired)
+    scores = values_of(table, classical), values_of(table, learned)
+    result = mean_difference(*scores, steps, plain.facts.paired, classical.any_number)
     return replace(pair, steps=result.estimate, steps_p=result.p) if result else pair
 
 
@@ -295,18 +306,6 @@ def _claim(verdict: TaskVerdict) -> tuple[str, str]:
     return "undecided", f"up to {math.ceil(1000 * largest) / 10:g} points apart after {pair.episodes} episodes"
 
 
-def success_table(comparison: Comparison) -> "pd.DataFrame | None":
-    """Return success by episode and policy; None if it is unknown. The episodes are those of `counted_results`.
-
-    Policies that the disturbance does not reach are left out.
-    """
-    episodes = comparison.episodes
-    if not len(episodes) or not comparison.policies or episodes.success.isna().any():
-        return None
-    success = counted_rows(comparison.results).pivot(index="episode", columns="policy", values="success").astype(float)
-    return success.reindex(columns=[policy.policy for policy in comparison.policies if not policy.spared])
-
-
 def _in_points(share: Estimate) -> str:
     low, high = (100 * bound for bound in share.bounds)
     return size(Estimate(100 * share.value, low, high))
@@ -314,6 +313,14 @@ def _in_points(share: Estimate) -> str:
 
 def _kind(sign: int) -> str:
     return "Classical" if sign > 0 else "Learned"
+
+
+def rule_of_choice(verdicts: Sequence[TaskVerdict], quick: bool) -> str:
+    """Return how policies were chosen to represent their kinds, in a sentence."""
+    if quick:
+        return FIRST
+    choices = (choice for verdict in verdicts for choice in (verdict.classical, verdict.learned))
+    return CHOSEN_AT_FIRST if any(choice and choice.any_number for choice in choices) else CHOSEN
 
 
 def chosen(choice: Choice | None) -> str:

@@ -5,7 +5,7 @@ First by success; where that does not differ significantly, by the steps to the 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import isolation, policy_names, privileges
@@ -40,6 +40,10 @@ class Pair:
     def success(self) -> Estimate | None:
         """Difference in success; None if it is unknown. The interval holds at once for all `num_comparisons`."""
         return self.difference.success_among(self.num_comparisons)
+
+    def among(self, num_verdicts: int) -> "Pair":
+        """Return the pair, corrected for so many verdicts."""
+        return replace(self, p=self.p.among(num_verdicts), num_comparisons=self.num_comparisons * num_verdicts)
 
     @property
     def interval_in_words(self) -> str:
@@ -99,12 +103,12 @@ def verdict(
     return Verdict(first[0], _decision_times(pairs[0]), context)
 
 
-def is_decided(results: EpisodeTable, facts: Facts) -> bool:
-    """Return True if no pair of the verdict would be undecided after these episodes of a cell."""
+def is_decided(results: EpisodeTable, facts: Facts, num_verdicts: int = 1) -> bool:
+    """Return True if no pair is undecided after these episodes of a cell, corrected for so many verdicts."""
     policies, differences = summarise(results, facts) if len(results) else ([], [])
     pairs = verdict_pairs(policies, differences, facts.baseline)
     fewest = min((pair.episodes for pair in differences), default=0)
-    return fewest >= FEWEST and bool(pairs) and all(_decided(pair, facts.margin) for pair in pairs)
+    return fewest >= FEWEST and bool(pairs) and all(_decided(pair.among(num_verdicts), facts.margin) for pair in pairs)
 
 
 def _decided(pair: Pair, margin: float) -> bool:
