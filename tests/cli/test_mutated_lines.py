@@ -43,25 +43,25 @@ FORMATS = [("--format", name) for name in ("table", "json", "csv", "latex", "mar
 POLICY_SEEDS = [("--policy-seed", text) for text in ("0", "7", str(2**127))]
 SEEDS = [("--seed", "0"), ("--seed", "7"), ("--seed", str(10**8 - 1))]
 WORLDS, WORKERS = [("--worlds", "1"), ("--worlds", "3")], [("--workers", "1"), ("--on", "local")]
-ISOLATED = [("--isolate",)]
+ISOLATED, EARLY = [("--isolate",)], [("--until", "decided", "--at-most", "3")]
 OUT = [("--out", "new"), ("--out", "new/deeper"), ("--out", "results", "--overwrite")]
 ROBOTS = [("--robot", "ur5"), ("--robot", "ur10")]
 OPTIONS = [("--set", "tolerance=0.1"), ("--set", "control=position"), ("--set", "render_mode=rgb_array")]
 PLAYED = [SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, [*ROBOTS, *OPTIONS]]
 DISTURBED = [("--disturbance", "delay=1"), ("--disturbance", "payload=0,2")]
 LINES: dict[str, Any] = {
-    "list": ([], [[ARM, ODD], ROBOTS, [("--tip", "tool0")]]),
+    "list": ([], [[ARM, ODD], ROBOTS, [("--tip", "tool0")], [("--policy", "reach_mpc")]]),
     "new": ([("task", "mine")], []),
     "compare": (
         [("random", "odd.py:still"), ("--episodes", "1"), ARM, SHORT],
         [*PLAYED, [("--baseline", "random")], [("--margin", "2")], [("--report",)], [("--success-return", "-1")],
          [("--return-bounds", "-9", "9")], [("--real-time", "0.01"), ("--slow-down", "1")],
-         [("--until", "decided", "--at-most", "3")], ISOLATED],
+         EARLY, ISOLATED],
     ),
     "sweep": (
         [("random",), ("--episodes", "1"), ARM, SHORT, ("--disturbance", "delay=1")],
         [*PLAYED, DISTURBED, [("--success-return", "-1")], [("--return-bounds", "-9", "9")],
-         [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], ISOLATED],
+         [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], EARLY, ISOLATED],
     ),
     "plan": (
         [("--detect", "10")],
@@ -106,7 +106,7 @@ LINES: dict[str, Any] = {
     "pull": ([("owner/name",)], [[("--out", "new")], [("--overwrite",)]]),
     "suite": (
         [ODD, ("--episodes", "1")],
-        [[("--quick",)], SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, ISOLATED],
+        [[("--quick",)], SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, EARLY, ISOLATED],
     ),
     "tune": (
         [("reach_mpc",), ("--trials", "1"), ("--episodes", "1"), ("--out", "new"), ARM],

@@ -57,9 +57,10 @@ def test_every_task_of_armctl_has_both_kinds_and_main_disturbances(size, monkeyp
     plan = suite_plan([env], False, None, 0, {})
     learned = {"bridge_distil", "bridge_ppo", "bridge_robust_ppo", "bridge_state_ppo"}
     playing = {"bridge_ompl", "bridge_distil"} if size is QUICK else {"bridge_ompl", "bridge_mpc"} | learned
-    assert all(set(cell.policies) == playing for cell in plan.cells)
+    lines_up = [set(cell.policies) for cell in plan.cells]
+    assert all(playing == policies if size is QUICK else playing < policies for policies in lines_up)
     assert len(plan.cells) == 1 + len(levels) * len(size.levels)
-    assert plan.total == size.episodes * len(playing) * len(plan.cells)
+    assert plan.total == size.episodes * sum(map(len, lines_up))
 
 
 def test_random_actions_play_only_where_there_is_nothing_else():
