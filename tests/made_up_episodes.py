@@ -17,7 +17,20 @@ def played(episodes, policies=("a",), steps=30):
     for policy in policies:
         for k in range(episodes):
             contacts, missed = (int(x) if x >= 0 else None for x in rng.integers(-1, 3, 2))
-            numbers: list[Any] = [*rng.random(6), math.nan, contacts, 0, missed, 0.1, 0.2, 0.3, math.nan if k else 7.0]
+            use, jerk = rng.random(6), [900.0 + k, 200.0, 90.0, 20.0]
+            numbers: list[Any] = [
+                *use[:2],
+                *jerk,
+                *use[2:],
+                math.nan,
+                contacts,
+                0,
+                missed,
+                0.1,
+                0.2,
+                0.3,
+                math.nan if k else 7.0,
+            ]
             metrics = Metrics(*numbers)
             length = int(rng.integers(1, steps + 1))
             terms = {"step": -1.0 * length} | ({"goal": rng.random()} if k % 3 else {})

@@ -9,6 +9,7 @@ import pytest
 from armctl.core.errors import ResultsError
 from armctl.core.files import sealed
 from armctl.episodes.database import FORMAT
+from armctl.episodes.rows import SINCE_FORMAT_2
 from armctl.episodes.stored import STORE, read_store
 
 from ..made_up_episodes import OWN, played, same
@@ -63,6 +64,28 @@ def test_what_another_program_changed_is_told_and_nothing_is_touched(made_up, co
             use(made_up)
     assert contents(made_up) == before
     write(made_up, [])
+
+
+def test_a_store_of_format_1_is_read_without_jerk_and_not_added_to(tmp_path):
+    episodes = [
+        replace(one, metrics=replace(one.metrics, **dict.fromkeys(SINCE_FORMAT_2, math.nan))) for one in played(3)
+    ]
+    write(tmp_path, episodes)
+    to_format_1 = [f"ALTER TABLE episode DROP COLUMN {name}" for name in SINCE_FORMAT_2]
+    edit(tmp_path, *to_format_1, "PRAGMA user_version = 1")
+    same(read_cell(tmp_path).episodes, episodes)
+    with pytest.raises(ResultsError, match="results of format 1, which can be read, but not added to"):
+        resume(tmp_path)
+    edit(tmp_path, "UPDATE episode SET energy = energy + 1e-9 WHERE rowid = 2")
+    with pytest.raises(ResultsError, match="an episode was changed"):
+        read_store(tmp_path)
+
+
+@pytest.mark.parametrize("name", SINCE_FORMAT_2)
+def test_a_jerk_that_is_removed_or_added_is_told(made_up, name):
+    edit(made_up, f"UPDATE episode SET {name} = CASE WHEN {name} IS NULL THEN 1.0 END WHERE rowid = 2")
+    with pytest.raises(ResultsError, match="an episode was changed"):
+        read_store(made_up)
 
 
 def test_values_of_other_types_are_told(made_up):

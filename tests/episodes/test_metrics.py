@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.envs import make_worlds
-from armctl.episodes.metrics import path_length, range_use, smoothness
+from armctl.episodes.metrics import jerks, largest_and_rms, path_length, range_use, smoothness
 from armctl.episodes.record import TIME_COLUMNS
 from armctl.policies import make_policy
 from armctl.rollout import evaluate
@@ -44,6 +44,16 @@ def test_path_length_and_range_use():
     assert range_use(np.array([[0.0, 1.0], [0.5, 1.5]]), np.array([-1.0, 0.0]), np.array([1.0, 2.0])) == 0.5
 
 
+def test_jerk_of_a_cubic_is_constant_and_of_the_smoothest_motion_as_in_the_textbook():
+    times = np.linspace(0, 1, 501)[:, None]
+    positions, speeds = 2 * times**3, 6 * times**2  # jerk 12
+    for samples, order in ((positions, 3), (speeds, 2)):
+        assert largest_and_rms(jerks(samples, order, 0.002)) == pytest.approx((12, 12), rel=1e-4)
+    path = jerks(minimum_jerk(2001), 3, 1 / 2000)
+    assert largest_and_rms(np.linalg.norm(path, axis=1)) == pytest.approx((60, math.sqrt(720)), rel=1e-2)
+    assert largest_and_rms(np.zeros((0, 3))) == (0.0, 0.0)
+
+
 @pytest.fixture(scope="module")
 def played():
     return evaluate("random", "armctl/ArmReach-v0", episodes=2, lower_bound_steps=False)
@@ -57,10 +67,12 @@ def test_metrics_of_an_arm_are_those_of_its_motion(played):
     task, data = env.get_wrapper_attr("task"), []
     finished, limits, energy = False, env.get_wrapper_attr("task").arm.description.limits, 0.0
     middle, half, away = (limits.lower + limits.upper) / 2, (limits.upper - limits.lower) / 2, []
-    places, contacts = [task.motion().position[0]], 0
+    places, contacts, all_speeds = [task.motion().position[0]], 0, [np.zeros(6)] * 2
     while not finished:
         observation, _, terminated, truncated, _ = env.step(policy.act(observation[None])[0])
         speeds, torques = task.motion().joints[:, :, 0]
+        assert task.motion().path[-1, 0] == pytest.approx(task.motion().position[0])
+        all_speeds.extend(speeds)
         assert speeds[-1] == pytest.approx(task.arm.joint_velocities[0])
         energy += 0.008 * np.abs(speeds * torques).sum()
         places.append(task.motion().position[0])
@@ -75,6 +87,8 @@ def test_metrics_of_an_arm_are_those_of_its_motion(played):
     assert row.path_length == pytest.approx(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     assert row.range_use == pytest.approx(np.max(away))
     assert row.contacts == contacts > 0
+    jerk = np.diff(all_speeds, n=2, axis=0) / 0.008**2
+    assert (row.joint_jerk_max, row.joint_jerk_rms) == pytest.approx((np.abs(jerk).max(), np.sqrt((jerk**2).mean())))
     assert row.smoothness == pytest.approx(smoothness(np.array(places), 0.04))
 
 
@@ -101,6 +115,8 @@ def test_an_episode_that_ends_by_a_collision_has_one_contact_and_no_clearance():
     assert rover.contacts == 0
     assert 0.05 < rover.clearance < 0.5
     assert 17 < rover.path_length < 25
+    assert rover.joint_jerk_max > rover.joint_jerk_rms > 0
+    assert math.isnan(rover.tip_jerk_max)
     assert math.isnan(rover.range_use)
 
 
@@ -156,3 +172,11 @@ def test_number_of_worlds_changes_no_metric(policy, env, options):
         for worlds in (1, 3)
     ]
     assert runs[0].equals(runs[1])
+
+
+def test_the_stop_at_a_target_is_no_jerk():
+    """A world stands still from the tick on in which the target is reached, at whatever acceleration."""
+    row = evaluate("reach_ik", episodes=5, worlds=5, lower_bound_steps=False)
+    assert row.success.all()
+    assert (row.joint_jerk_rms < 1.5 * 15 / 0.008).all()  # the drives' acceleration, changed within a tick
+    assert (row.tip_jerk_max > row.tip_jerk_rms).all()

@@ -9,13 +9,13 @@ from urllib.parse import quote
 
 from armctl.core.errors import ResultsError
 from armctl.core.files import check_format, opened_regular
-from armctl.episodes.rows import definition
+from armctl.episodes.rows import NUMBERS_OF_FORMAT_1, definition
 from armctl.runtime.folder import OTHERWISE
 
 LARGEST_FILE, LARGEST_VALUE = 4 * 2**30, 2**28
 """Bytes of a store, and of a text or the decision times of an episode in it."""
-FORMAT = 1
-"""Number of the layout, in the file's header."""
+FORMAT = 2
+"""Number of the layout, in the file's header. Files of format 1 are read: in them, no jerk was measured."""
 APPLICATION = 0x61726D63
 """The letters "armc", in the file's header."""
 _TABLES = {
@@ -26,6 +26,7 @@ _TABLES = {
     "episode": f"cell INTEGER NOT NULL, {definition()}, UNIQUE (cell, policy, episode)",
 }
 SCHEMA = {name: f"CREATE TABLE {name} ({columns}) STRICT" for name, columns in _TABLES.items()}
+_SCHEMA_OF_FORMAT_1 = SCHEMA | {"episode": SCHEMA["episode"].replace(definition(), definition(NUMBERS_OF_FORMAT_1))}
 
 
 @contextlib.contextmanager
@@ -65,11 +66,17 @@ def damage(path: Path) -> Iterator[None]:
         raise ResultsError(f"{path} is damaged ({reason(error)}): remove it, or overwrite all (--overwrite)") from error
 
 
+def format_of(file: sqlite3.Connection) -> int:
+    """Return the number of a database's layout."""
+    return int(file.execute("PRAGMA user_version").fetchone()[0])
+
+
 def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     """Raise `ValueError` or `sqlite3.Error` unless a database is a sound one of our own."""
-    check_format({"format": file.execute("PRAGMA user_version").fetchone()[0]}, FORMAT)
+    if (number := format_of(file)) != 1:
+        check_format({"format": number}, FORMAT)
     schema = file.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()
-    if dict(schema) != SCHEMA:
+    if dict(schema) != (_SCHEMA_OF_FORMAT_1 if number == 1 else SCHEMA):
         raise ValueError("it does not have the tables of armctl's results")
     if not whole:
         return

@@ -21,6 +21,14 @@ class Metrics:
     """m, path length of the end-effector or the rover, by straight lines between control steps."""
     smoothness: float
     """Log dimensionless jerk (see `smoothness`): smoother motions are nearer to 0; NaN for too short an episode."""
+    joint_jerk_max: float
+    """rad/s^3, largest jerk of a joint or wheel; NaN if joints are not sampled, like the next one."""
+    joint_jerk_rms: float
+    """rad/s^3, root mean square of all joints' or wheels' jerk."""
+    tip_jerk_max: float
+    """m/s^3, largest jerk of the end-effector; NaN for a rover, like the next one."""
+    tip_jerk_rms: float
+    """m/s^3, root mean square of the end-effector's jerk."""
     range_use: float
     """Largest distance of a joint from the middle of its range, relative to half the range; NaN for a rover."""
     speed_use: float
@@ -85,6 +93,7 @@ def metrics(
     return Metrics(
         path_length(positions),
         math.nan if period is None else smoothness(positions, period),
+        *_jerks(task, world, start, motions),
         *use,
         task.min_clearance(world, configurations) if motions else math.nan,
         contacts if reports_contacts else None,
@@ -104,6 +113,39 @@ def warm_times(decision_ms: Array, first_call: bool) -> Array:
     """
     times = decision_ms[~np.isnan(decision_ms)]
     return times[1:] if first_call and len(times) > 1 else times
+
+
+def _jerks(task: Any, world: int, start: Array, motions: "Sequence[MotionSample]") -> tuple[float, float, float, float]:
+    """Return the largest and the rms jerk of joints and end-effector, from rest at `start`; NaN if not sampled."""
+    speeds = [motion.joints[0, :, world] for motion in motions if motion.joints is not None]
+    places = [motion.path[:, world] for motion in motions if motion.path is not None]
+    if not speeds:
+        return (math.nan,) * 4
+    joint_speeds, interval = np.concatenate(speeds), task.joints.interval
+    moving = np.flatnonzero(np.diff(joint_speeds, axis=0).any(axis=1))
+    samples = int(moving[-1]) + 2 if len(moving) else 0  # at a target, a world stands still at the speed that it had
+    joints = jerks(np.vstack((np.zeros((2, joint_speeds.shape[1])), joint_speeds[:samples])), 2, interval)
+    if not places:
+        return *largest_and_rms(joints), math.nan, math.nan
+    tip = jerks(np.vstack((np.tile(start, (3, 1)), np.concatenate(places)[:samples])), 3, interval)
+    return *largest_and_rms(joints), *largest_and_rms(np.linalg.norm(tip, axis=1))
+
+
+def jerks(samples: Array, order: int, interval: float) -> Array:
+    """Return the derivatives of an `order` of samples (m, k), an `interval` (s) apart, by differences, (m - order, k).
+
+    Jerk is the second derivative of speeds, and the third one of positions.
+    """
+    return np.asarray(np.diff(samples, n=order, axis=0) / interval**order)
+
+
+def largest_and_rms(jerk: Array) -> tuple[float, float]:
+    """Return the largest magnitude of jerks, and their root mean square, which does not grow with the duration.
+
+    The latter is the root of the mean squared jerk (Hogan and Sternad, "Sensitivity of smoothness measures to movement
+    duration, amplitude, and arrests", J. Motor Behavior 41(6), 2009). 0 without motion.
+    """
+    return float(np.abs(jerk).max(initial=0.0)), math.sqrt(float((jerk * jerk).mean())) if jerk.size else 0.0
 
 
 def _joint_use(

@@ -25,6 +25,9 @@ TEXTS = ("policy", "outcome", "run", "terms")
 """Columns of numbers of texts; `terms` is the names of the reward terms, a JSON list."""
 INTEGERS = tuple(name for name, kinds in TYPES.items() if kinds & {int, bool} and name != "seed")
 NUMBERS = tuple(name for name, kinds in TYPES.items() if float in kinds)
+SINCE_FORMAT_2 = ("joint_jerk_max", "joint_jerk_rms", "tip_jerk_max", "tip_jerk_rms")
+"""Numbers that rows of format 1 do not have. They count in a row's checksum where one of them is known."""
+NUMBERS_OF_FORMAT_1 = tuple(name for name in NUMBERS if name not in SINCE_FORMAT_2)
 COLUMNS = (*TEXTS, *INTEGERS, *NUMBERS, "reward_terms", "decision_ms", "checksum")
 """Columns of the table `episode`. Environment and seed of an episode are in its cell's identity."""
 _UNKNOWN = -(2**63)
@@ -35,18 +38,19 @@ _WIDTHS = {2: ("<u2", 2**16 - 1), 4: ("<i4", -1)}
 """Types of decision times in ticks, by their bytes, with the number in place of NaN."""
 ROWS_AT_ONCE = 1_000
 """Rows that are read together: values of more do not stay in the processor's cache."""
-_PACKED = struct.Struct(f"<{len(TEXTS) + len(INTEGERS)}q{len(NUMBERS)}d")
+_PACKED = struct.Struct(f"<{len(TEXTS) + len(INTEGERS)}q{len(NUMBERS_OF_FORMAT_1)}d")
+_PACKED_SINCE = struct.Struct(f"<{len(SINCE_FORMAT_2)}d")
 
 
-def definition() -> str:
-    """Return the columns of the table `episode` in SQL."""
+def definition(numbers: Sequence[str] = NUMBERS) -> str:
+    """Return the columns of the table `episode` in SQL, with these numbers."""
 
     def kind(name: str) -> str:
         return f"{name} INTEGER{'' if NoneType in TYPES.get(name, ()) else ' NOT NULL'}"
 
     integers = ", ".join(map(kind, (*TEXTS, *INTEGERS)))
-    numbers = ", ".join(f"{name} REAL" for name in NUMBERS)
-    return f"{integers}, {numbers}, reward_terms BLOB NOT NULL, decision_ms BLOB NOT NULL, checksum INTEGER NOT NULL"
+    reals = ", ".join(f"{name} REAL" for name in numbers)
+    return f"{integers}, {reals}, reward_terms BLOB NOT NULL, decision_ms BLOB NOT NULL, checksum INTEGER NOT NULL"
 
 
 def row_of(result: EpisodeResult, texts: dict[str, int], cell_checksum: int) -> tuple[Any, ...]:
@@ -55,15 +59,19 @@ def row_of(result: EpisodeResult, texts: dict[str, int], cell_checksum: int) -> 
     values["terms"] = json.dumps(list(result.reward_terms))
     numbers = [texts.setdefault(values[name], len(texts)) for name in TEXTS]
     integers = [None if (value := values[name]) is None else int(value) for name in INTEGERS]
-    floats = [float(values[name]) + 0.0 for name in NUMBERS]  # SQLite has no -0.0, and no NaN but NULL
+    floats = {name: float(values[name]) + 0.0 for name in NUMBERS}  # SQLite has no -0.0, and no NaN but NULL
     rewards = np.array([*result.reward_terms.values()], "<f8").tobytes()
     times = _packed_times(result.decision_ms)
     packed = _PACKED.pack(
         *(_text_checksum(values[name]) for name in TEXTS),
         *(_UNKNOWN if value is None else value for value in integers),
-        *(math.nan if value != value else value for value in floats),
+        *(math.nan if (value := floats[name]) != value else value for name in NUMBERS_OF_FORMAT_1),
     )
-    return (*numbers, *integers, *floats, rewards, times, crc32(times, crc32(rewards, crc32(packed, cell_checksum))))
+    since = [math.nan if (value := floats[name]) != value else value for name in SINCE_FORMAT_2]
+    if not all(map(math.isnan, since)):
+        packed += _PACKED_SINCE.pack(*since)
+    checksum = crc32(times, crc32(rewards, crc32(packed, cell_checksum)))
+    return (*numbers, *integers, *floats.values(), rewards, times, checksum)
 
 
 class Sizes(NamedTuple):
@@ -170,11 +178,14 @@ def _checked(
         arrays[name] = _integers(name, packed[-1], unknown)
     for name in NUMBERS:
         arrays[name] = np.array(columns[name], float)
-        packed.append(arrays[name].view(np.int64))
-    data, width = np.column_stack(packed).astype("<i8").tobytes(), 8 * len(packed)
-    blobs = zip(columns["reward_terms"], columns["decision_ms"], columns["checksum"], strict=True)
-    for at, (rewards, times, checksum) in zip(range(0, len(data), width), blobs, strict=True):
-        if crc32(times, crc32(rewards, crc32(data[at : at + width], cell_checksum))) != checksum:
+    packed += [arrays[name].view(np.int64) for name in NUMBERS_OF_FORMAT_1]
+    since = np.column_stack([arrays[name] for name in SINCE_FORMAT_2])
+    data, width = np.column_stack([*packed, since.view(np.int64)]).astype("<i8").tobytes(), 8 * len(packed)
+    stride = width + _PACKED_SINCE.size
+    ends = np.where(np.isnan(since).all(axis=1), width, stride).tolist()
+    blobs = zip(columns["reward_terms"], columns["decision_ms"], columns["checksum"], ends, strict=True)
+    for at, (rewards, times, checksum, end) in zip(range(0, len(data), stride), blobs, strict=True):
+        if crc32(times, crc32(rewards, crc32(data[at : at + end], cell_checksum))) != checksum:
             raise ValueError("an episode was changed, or belongs to another comparison")
     arrays["reward_terms"] = np.frombuffer(b"".join(columns["reward_terms"]), "<f8")
     arrays["decision_ms"] = _unpacked_times(columns["decision_ms"], arrays["length"])

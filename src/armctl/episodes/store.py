@@ -26,6 +26,7 @@ from armctl.episodes.database import (
     connected,
     damage,
     files,
+    format_of,
     reason,
 )
 from armctl.episodes.record import EpisodeResult
@@ -99,6 +100,7 @@ class Store:
                     _make_tables(file)
                 else:
                     check_file(file)
+                    self._refuse_older(format_of(file))
                     self.texts = {text: i for i, text in enumerate(texts_in(file))}
                 stored_seeds = {KEYS.validate_python(unsealed(text)).seed for _, _, text, _ in cells_in(file)}
                 further = [name for _, name, *_ in cells_in(file) if name not in cells]
@@ -109,6 +111,12 @@ class Store:
                     f"{self.folder} holds further results ({', '.join(further)}): ask for these too, {OTHERWISE}"
                 )
             self._file = file
+
+    def _refuse_older(self, number: int) -> None:
+        if number != FORMAT:
+            raise ResultsError(
+                f"{self.folder} holds results of format {number}, which can be read, but not added to: {OTHERWISE}"
+            )
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:

@@ -15,8 +15,8 @@ from pydantic import TypeAdapter
 from armctl.core.errors import ResultsError
 from armctl.core.files import digest, unsealed
 from armctl.core.registration import bare_id
-from armctl.episodes.database import check_file, connected, damage, files
-from armctl.episodes.rows import COLUMNS, Sizes, table_of_rows
+from armctl.episodes.database import FORMAT, check_file, connected, damage, files, format_of
+from armctl.episodes.rows import COLUMNS, SINCE_FORMAT_2, Sizes, table_of_rows
 from armctl.episodes.table import EpisodeTable
 from armctl.runtime.provenance import Run
 
@@ -155,7 +155,9 @@ def episodes_of(file: sqlite3.Connection, cell: int, identity: Mapping[str, Any]
 def select(file: sqlite3.Connection) -> str:
     """Return the query for the rows of a cell: in the order of the file if that holds no others, else by the index."""
     is_single = file.execute("SELECT count(*) FROM cell").fetchone()[0] == 1
-    return f"SELECT {', '.join(COLUMNS)} FROM episode {'NOT INDEXED' if is_single else ''} WHERE cell = ?"
+    missing = () if format_of(file) == FORMAT else SINCE_FORMAT_2
+    columns = (f"NULL AS {name}" if name in missing else name for name in COLUMNS)
+    return f"SELECT {', '.join(columns)} FROM episode {'NOT INDEXED' if is_single else ''} WHERE cell = ?"
 
 
 def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:

@@ -97,7 +97,7 @@ class Samples(NamedTuple):
 
 
 class TargetQuery(NamedTuple):
-    """Distance of a body from its target after each tick, and whether a world stands still at the target."""
+    """Position of a body, its distance from its target after each tick, and whether a world stands still there."""
 
     body: int
     targets: Array
@@ -106,6 +106,8 @@ class TargetQuery(NamedTuple):
     """m. A world stands still from the tick on after which the body is so near; negative: it goes on."""
     distances: Array
     """(ticks, n) m."""
+    positions: Array
+    """(ticks, n, 3) m, of the body."""
 
 
 class ContactOutput(NamedTuple):
@@ -271,6 +273,8 @@ def sample(buffers, samples, target_query, world, tick_number):
         samples.torques[tick_number, world, k] = buffers.torques[samples.dofs[k]]
     if not len(target_query.targets):
         return False
+    for axis in range(3):
+        target_query.positions[tick_number, world, axis] = buffers.positions[target_query.body, axis]
     target = target_query.targets[min(tick_number, len(target_query.targets) - 1), world]
     distance = distance_as_observed(buffers.positions[target_query.body], target)
     target_query.distances[tick_number, world] = distance

@@ -56,6 +56,8 @@ class MotionSample:
     """(n,) whether the robot had a forbidden contact; None if unknown."""
     joints: Array | None = None
     """(2, samples, n, joints) speeds (rad/s) and torques (N m) of joints or wheels since the last control step."""
+    path: Array | None = None
+    """(samples, n, 3) m: where an end-effector was at the same times."""
 
 
 class Potential(ABC):

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 METRICS = (
-    "path_length", "smoothness", "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
+    "path_length", "smoothness", "joint_jerk_max", "joint_jerk_rms", "tip_jerk_max", "tip_jerk_rms",
+    "range_use", "speed_use", "torque_use", "energy", "clearance", "contacts",
 )  # fmt: skip
 """The fields of `armctl.episodes.metrics.Metrics` whose means are in the summary."""
 MIN_PLANNING = 3.0

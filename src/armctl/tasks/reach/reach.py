@@ -102,7 +102,9 @@ class ReachTask(Task):
         self._distance, self._nearest = np.zeros(n), np.full(n, np.inf)
         tip = model.body(PREFIX + description.tip).id
         stop_within = options.tolerance if self.stops_at_target else -1.0
-        self._target_query = TargetQuery(tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf))
+        self._target_query = TargetQuery(
+            tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf), np.zeros((TICKS, n, 3))
+        )
         self._contacts_part = NO_PARTS.contacts
         self._bind_arrays()
         self.simulation.reset()
@@ -251,6 +253,7 @@ class ReachTask(Task):
             arm.joint_positions.copy(),
             self._contact(),
             self.joints.since_last_step(),
+            self._target_query.positions.copy(),
         )
 
     @functools.cached_property
