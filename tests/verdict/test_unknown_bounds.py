@@ -38,7 +38,7 @@ TRUTH = 1 - DISASTERS * COST
 
 def episodes(name, earned):
     nan = math.nan
-    nothing = Metrics(*[nan] * 11, None, 0, None, 0.01, 0.01, 0.01, nan)
+    nothing = Metrics(nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, None, 0, None, 0.01, 0.01, 0.01, nan)
     return [
         EpisodeResult(
             name, "mine/Hover-v0", k, 0, "truncated", None, True, float(value), {}, 100, math.nan, math.nan, nothing,
