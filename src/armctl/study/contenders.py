@@ -4,16 +4,17 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from armctl.episodes.stored import UNDISTURBED
-from armctl.rollout.seeding import SeedCheck
 from armctl.stats.across_tasks import Choice, choose, pairwise_by_task
 from armctl.stats.difference import MARGIN
 from armctl.stats.intervals import FEWEST
 from armctl.study.comparison import Comparison
-from armctl.study.plan import Cell
 from armctl.verdict.summary import counted_rows
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from armctl.rollout.seeding import SeedCheck
+    from armctl.study.plan import Cell
 
 
 @dataclass
@@ -22,12 +23,12 @@ class Task:
 
     lower_bound_steps: dict[int, float] = field(default_factory=dict)
     """Lower bounds by episode, as in `rollouts`."""
-    seeding: SeedCheck | None = None
+    seeding: "SeedCheck | None" = None
     """None before the first cell is played."""
     contenders: tuple[Choice | None, Choice | None] = None, None
     """The choices that represent the kinds, after the undisturbed cell of a suite."""
 
-    def is_decided(self, cell: Cell, so_far: Comparison, num_verdicts: int) -> bool:
+    def is_decided(self, cell: "Cell", so_far: Comparison, num_verdicts: int) -> bool:
         """Return True if a suite's verdict on a cell `so_far`, one of so many, is no longer undecided."""
         undisturbed = cell.setting == UNDISTURBED
         classical, learned = contenders(so_far, any_number=True) if undisturbed else self.contenders
