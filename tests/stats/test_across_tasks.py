@@ -101,7 +101,7 @@ def test_what_stops_early_is_chosen_by_the_first_episodes():
 @pytest.mark.parametrize("rate", [0.6, 0.95])
 def test_whoever_stops_at_the_first_claim_errs_seldom(rate, sized):
     """All are equally good: 5 % of all studies claim at any look that one is better, at most."""
-    rng, runs, errors, ends = np.random.default_rng(0), sized(20, 600), 0, block_ends(400)[3:]
+    rng, runs, errors, ends = np.random.default_rng(0), sized(20, 60), 0, block_ends(400)[3:]
     for _ in range(runs):
         success = pd.DataFrame(rng.random((400, 6)) < rate, columns=list("abcdef"), dtype=float)
         for n in ends:
