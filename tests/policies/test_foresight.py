@@ -21,7 +21,7 @@ from ..holding_still import Still
 MOVING, BRIDGE = "armctl/ArmReachMoving-v0", "armctl/BridgeCrossMoving-v0"
 NUM_ENVS, STEPS = 8, 30
 """Worlds and control steps after which the future changes."""
-FORESEEING = {"bridge_mpc", "bridge_ompl"}
+FORESEEING = {"bridge_mpc", "bridge_mppi", "bridge_ompl"}
 
 
 def made_for(env):

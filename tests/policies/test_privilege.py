@@ -204,11 +204,11 @@ def test_a_misspelt_privilege_is_named():
 def test_installed_policies_declare_what_they_see():
     declared = {name: declared_sees(name) for name in policy_names()}
     omniscient = {
-        "bridge_mpc", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo", "bridge_moving_state_ppo",
-        "bridge_moving_imagined", "bridge_orca",
+        "bridge_mpc", "bridge_mppi", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo", "bridge_moving_state_ppo",
+        "bridge_moving_imagined", "bridge_orca", "mppi",
     }  # fmt: skip
     assert {name for name, sees in declared.items() if sees == "state"} == omniscient
-    knowing = {"reach_ik", "reach_mpc", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"}
+    knowing = {"reach_ik", "reach_mpc", "reach_mppi", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"}
     knowing |= {"bridge_dwa", "bridge_pursuit"}
     knowing |= {"reach_impedance", "reach_rate", "reach_ruckig"}
     assert {name for name, sees in declared.items() if sees == "model"} == knowing

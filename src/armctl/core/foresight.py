@@ -9,11 +9,12 @@ from typing import Literal
 
 from armctl.core.errors import ConfigurationError, unknown_name
 
-Foresight = Literal["target", "pedestrians", "disturbance"]
+Foresight = Literal["target", "pedestrians", "disturbance", "simulator"]
 FORESIGHT: Mapping[str, str] = {
     "target": "target's future",
     "pedestrians": "pedestrians' future",
     "disturbance": "disturbance's level",
+    "simulator": "nominal simulator",
 }
 """Foresight that a policy can declare, and its text in tables."""
 

@@ -1,5 +1,6 @@
 """Common part of armctl's vector environments: episodes by number, and worlds that are reset one by one."""
 
+import copy
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -104,19 +105,31 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     @property
     def foresight(self) -> tuple[str, ...]:
         """Foresight that policies can have here: keys of `FORESIGHT`."""
-        return (*self.task.foresight, *(("disturbance",) if self.disturbances else ()))
+        has_simulator = self._nominal_model(0) is not None
+        return (
+            *self.task.foresight,
+            *(("disturbance",) if self.disturbances else ()),
+            *(("simulator",) if has_simulator else ()),
+        )
 
     def preview(self, name: str, world: int = 0) -> Any:
         """Return what a policy with this foresight knows of a world's current episode; None if nothing is foreseen.
 
-        For a `disturbance`, that is the level of each by name, and else what `Task.preview` tells. Raises
-        `ConfigurationError` while a policy acts that has not declared it.
+        For a `disturbance`, that is the level of each by name, for a `simulator` a copy of MuJoCo's model without
+        disturbances, and else what `Task.preview` tells. Raises `ConfigurationError` while a policy acts that has not
+        declared it.
         """
         if self.task.granted is not None:
             check_declared(name, "state", self.task.granted)
         if name == "disturbance":
             return {name: float(disturbance.levels[world]) for name, disturbance in self.disturbances.items()}
+        if name == "simulator":
+            return copy.copy(self._nominal_model(world))
         return self.task.preview(name, world) if name in self.task.foresight else None
+
+    def _nominal_model(self, world: int) -> Any:
+        """Return MuJoCo's model of a world without disturbances, which act on others; None if there is none."""
+        return getattr(getattr(self.task, "simulation", None), "nominal_model", None)
 
     @property
     def control_period(self) -> float | None:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import gymnasium
+import mujoco
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
@@ -19,10 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.arrays import Array
 from armctl.core.errors import FAILURES, ConfigurationError, EnvironmentFailed, InvalidAction, defined_at, described
+from armctl.core.foresight import check_declared
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entropy
 from armctl.envs import foreign_values
 from armctl.envs.environment_options import LARGEST_REWARD
 from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
+from armctl.envs.imagined import Imagined
 from armctl.envs.observations import stacked
 from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts
@@ -239,6 +242,20 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             )
             self.remarks[remark] = None
         return step_success
+
+    def imagined(self, world: int) -> Imagined:
+        """Return a copy of a world's environment, with its present state, to plan in.
+
+        Raises `ConfigurationError` if it cannot be copied, and for a policy that does not declare the foresight
+        `simulator`.
+        """
+        if self.task.granted is not None:
+            check_declared("simulator", "state", self.task.granted)
+        return Imagined(self.worlds[world].unwrapped)
+
+    def _nominal_model(self, world: int) -> Any:
+        model = getattr(self.worlds[world].unwrapped, "model", None)
+        return model if isinstance(model, mujoco.MjModel) else None
 
     @property
     def _name(self) -> str:

@@ -55,7 +55,7 @@ class ReachabilityMap:
 
         The straight path to it is free in the model `among`, if such a candidate was found.
         """
-        goals = self._goals(target, start, CANDIDATES)
+        goals = self.goals(target, start, CANDIDATES)
         fractions = np.linspace(1.0, 0.1, 10)[:, None]
         free = (goal for goal in goals if among.are_free(start + fractions * (goal - start)).all())
         return np.asarray(next(free, goals[0]))
@@ -67,7 +67,7 @@ class ReachabilityMap:
         none if no such way was found.
         """
         edges = EdgeChecker(self._shapes, boxes, CLEARANCE, start)
-        goals = self._goals(target, start, AMONG_BOXES)
+        goals = self.goals(target, start, AMONG_BOXES)
         goals = goals[np.linalg.norm(self.model.positions(goals) - target, axis=1) < ON_TARGET]
         way = self._through(edges, start, goals)
         return way if len(way) else self._through(edges, start, self._ik_goals(target, start))
@@ -93,7 +93,7 @@ class ReachabilityMap:
         goals = self.model.nearest_turn(goals, start)
         return np.asarray(goals[np.argsort(self.model.cruise_time(start, goals), kind="stable")])
 
-    def _goals(self, target: Array, start: Array, count: int) -> Array:
+    def goals(self, target: Array, start: Array, count: int) -> Array:
         """Return configurations (count, dof) with the end-effector at `target` (3,), those reached earliest first."""
         limits = self.model.limits
         distances, near = self.nearest(target, NEIGHBOURS)

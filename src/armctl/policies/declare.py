@@ -18,8 +18,8 @@ def sees(
     """Declare what a policy sees: a decorator of the function or class that makes it, or of a plain policy.
 
     `family` is the kind of method, such as `MPC`, by which a suite ranks policies of several tasks together.
-    `foresight` is what the policy knows besides: the `target`'s future, the `pedestrians`' future, or the level of a
-    `disturbance`. It gets that by `env.preview(name, world)`.
+    `foresight` is what the policy knows besides: the `target`'s future, the `pedestrians`' future, the level of a
+    `disturbance`, or the nominal `simulator`, in which it plans. It gets that by `env.preview(name, world)`.
 
     - `observation`: only what the environment gives to every policy; this is the default;
     - `model`: the robot's description and the task's options as well;

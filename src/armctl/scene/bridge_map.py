@@ -47,14 +47,14 @@ class BridgeMap:
         """Return the distance (m,) of points (m, 2) to the nearest block, side or end; 0 or below in a block."""
         points = np.ascontiguousarray(points, dtype=float)
         clearances = np.empty(len(points))
-        kernel.clearances(*self._deck, points, clearances)
+        kernel.clearances(*self.deck, points, clearances)
         return clearances
 
     def nearest(self, points: ArrayLike) -> Array:
         """Return the point of each block and of the two sides nearest to each of points (m, 2): (m, k + 2, 2)."""
         points = np.ascontiguousarray(points, dtype=float)
         nearest_points = np.empty((len(points), len(self.blocks) + 2, 2))
-        kernel.nearest(*self._deck, points, nearest_points)
+        kernel.nearest(*self.deck, points, nearest_points)
         return nearest_points
 
     def segment_clearance(self, starts: ArrayLike, ends: ArrayLike) -> Array:
@@ -64,12 +64,12 @@ class BridgeMap:
         """
         starts, ends = np.ascontiguousarray(starts, dtype=float), np.ascontiguousarray(ends, dtype=float)
         clearances = np.empty(len(starts))
-        kernel.segment_clearances(*self._deck, starts, ends, clearances)
+        kernel.segment_clearances(*self.deck, starts, ends, clearances)
         return clearances
 
     def edge_test(self, clearance: float) -> EdgeTest:
         """Return a test for single segments, from x, y to x, y: whether `segment_clearance` is at least `clearance`."""
-        return functools.partial(kernel.edge_is_free, *self._deck, clearance)
+        return functools.partial(kernel.edge_is_free, *self.deck, clearance)
 
     def shortened(self, path: Array, points: Array, ends: Array, clearance: float) -> Array:
         """Shorten a path (m, 2): corners are left out, or moved to other `points` (n, 2), as the clearance allows.
@@ -77,11 +77,11 @@ class BridgeMap:
         It may end at any of `ends` (k, 2).
         """
         path = np.array(path)
-        return path[: kernel.shorten((*self._deck, clearance), path, points, ends)]
+        return path[: kernel.shorten((*self.deck, clearance), path, points, ends)]
 
     @functools.cached_property
-    def _deck(self) -> tuple[Array, float, float]:
-        """The first arguments of the kernels."""
+    def deck(self) -> tuple[Array, float, float]:
+        """Rows of blocks, half width and length, as `armctl.kernels.bridge` takes them."""
         corners, (x, y, _, *sizes) = self.corners, self.blocks.T
         low, high = corners.min(axis=1, initial=np.inf), corners.max(axis=1, initial=-np.inf)
         return np.column_stack((low, high, x, y, *self._directions, *sizes)), self.half_width, self.length

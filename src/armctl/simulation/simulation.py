@@ -4,6 +4,7 @@ MuJoCo resets a world whose numbers become infinite, in the middle of an episode
 world stands still in its last good state, `unstable`, until it is reset. MuJoCo does not write its log file either.
 """
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -44,6 +45,8 @@ class Simulation:
     ) -> None:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.model, self.n = model, n
+        self.nominal_model = model
+        """The model without the fields that worlds have of their own, which pictures write into `model`."""
         self.unstable = np.zeros(n, dtype=bool)
         """(n,) worlds that have become unstable since their last reset: positions, velocities or accelerations were
         infinite, or no numbers."""
@@ -78,6 +81,7 @@ class Simulation:
 
     def per_world(self, field: str) -> Array:
         """Return a live (n, ...) array of an `MjModel` field, which becomes separate for each world."""
+        self._keep_nominal_model()
         self._fields[field] = np.asarray(self._batch.expand(field))
         return self._fields[field]
 
@@ -93,9 +97,14 @@ class Simulation:
 
     def derive(self, ids: WorldIds | None = None) -> None:
         """Recompute the model's constants from the masses, lengths and sizes of each world."""
+        self._keep_nominal_model()
         self._batch.set_const(ids)
         fields = (field for field in MODEL_FIELDS if not field.startswith("opt."))
         self._fields.update((field, values) for field in fields if (values := self._batch.expanded(field)) is not None)
+
+    def _keep_nominal_model(self) -> None:
+        if self.nominal_model is self.model:
+            self.nominal_model = copy.copy(self.model)
 
     @property
     def worlds_differ(self) -> bool:

@@ -1,0 +1,72 @@
+"""Copies of environments of others, in which a policy plans: never the live world.
+
+The reward of such an environment is code that reads its own state, so what an action earns is found by a step of a
+copy. A copy shares nothing with its original that could change it, and draws other random numbers: it does not foresee
+chance.
+"""
+
+import copy
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from armctl.core.arrays import Array
+from armctl.core.errors import FAILURES, ConfigurationError, described
+
+SHARED = (gymnasium.Space, gymnasium.envs.registration.EnvSpec)
+"""Types of attributes that steps do not change."""
+FIXED = (bool, int, float, complex, str, bytes, tuple, np.generic, type(None), mujoco.MjModel, mujoco.MjData, *SHARED)
+"""Types of attributes that are put back by reference; MuJoCo's data have a way of their own."""
+UNCOPIED = ("renderer", "viewer", "window", "screen", "clock")
+"""Parts of the names of attributes that only show the environment."""
+
+
+class Imagined:
+    """A copy of an environment in its present state. Raises `ConfigurationError` if it cannot be copied."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        attributes = {
+            name: None if any(part in name for part in UNCOPIED) else value for name, value in vars(env).items()
+        }
+        shared = {id(value): value for value in attributes.values() if isinstance(value, SHARED)}
+        self._dtype = env.action_space.dtype
+        try:
+            # not by `copy.deepcopy(env)`: an `EzPickle` environment would be made anew, in another state
+            self._attributes: dict[str, Any] = copy.deepcopy(attributes, shared)
+            self._env: Any = object.__new__(type(env))
+        except FAILURES as error:
+            raise ConfigurationError(
+                f"{type(env).__name__} cannot be copied, so that no policy can plan in it: {described(error)}"
+            ) from error
+        if "_np_random" in attributes:
+            self._attributes["_np_random"] = np.random.default_rng(0)
+        values = self._attributes.values()
+        self._kept = [value for value in values if isinstance(value, (mujoco.MjModel, mujoco.MjData, *SHARED))]
+        self._model = next((value for value in values if isinstance(value, mujoco.MjModel)), None)
+        datas = (value for value in values if isinstance(value, mujoco.MjData))
+        self._datas = [(data, copy.copy(data)) for data in datas]
+
+    def returns(self, actions: Array) -> Array:
+        """Return the sums of rewards (n,) of action sequences (n, horizon, ...) from the present state.
+
+        A sequence ends where the environment terminates.
+        """
+        sums = np.zeros(len(actions))
+        for i, sequence in enumerate(actions.astype(self._dtype)):
+            self._restore()
+            for action in sequence:
+                _, reward, terminated, _, _ = self._env.step(action)
+                sums[i] += float(reward)
+                if terminated:
+                    break
+        return sums
+
+    def _restore(self) -> None:
+        """Return to the present state."""
+        for data, saved in self._datas:
+            mujoco.mj_copyData(data, self._model, saved)
+        changing = {name: value for name, value in self._attributes.items() if not isinstance(value, FIXED)}
+        vars(self._env).clear()
+        vars(self._env).update(self._attributes | copy.deepcopy(changing, {id(value): value for value in self._kept}))
