@@ -7,15 +7,24 @@ privileged state.
 
 import functools
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
+from armctl.baselines.bridge_controllers import (
+    MAP_TOLERANCE,
+    BridgePolicy,
+    distance_from_path,
+    map_distance,
+    path_from,
+)
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
+from armctl.control.drive_nlp import DriveLimits
+from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
 from armctl.core.arrays import Array
-from armctl.core.options import changed_options
+from armctl.core.options import changed_options, options
 from armctl.envs import TaskVectorEnv
 from armctl.policies import made_for, sees
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
@@ -31,21 +40,36 @@ ACCELERATION = 4.0
 within the period, and the yaw rate (0.9 to 1.1) earlier: 99 % of predictions of the next pose are within 2 cm."""
 REPLAN_DISTANCE = 1.0
 """m: distance from the path at which a new one is planned."""
+STANDING, MAX_STANDING = 0.1, 15
+"""m/s or rad/s, and control steps: a prepared rover that is slower for longer plans another path."""
+ESCAPE, ESCAPE_TIME = PursuitOptions(max_speed=0.5, max_turn_rate=1.0, turn_first=0.2), 2.0
+"""Pursuit of the new path by a rover that stood, and for how long, s: it turns on the spot, where MPC sees no way."""
+SLOW_TURN_RATE, FAR_STEPS, FAR_PERIOD = 0.6, 40, 0.2
+"""rad/s, below which a rover looks farther ahead: so many steps of so many s."""
 
 
 @made_for("armctl/BridgeCross*", controls="rover")
 @sees("state", family="MPC", foresight="pedestrians")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""
-    return BridgePolicy("bridge_mpc", env, functools.partial(BridgeMpc, options=options))
+    prepared = changed_options(BridgeMpcOptions(), options, "option of bridge_mpc").prepared
+    return BridgePolicy("bridge_mpc", env, functools.partial(BridgeMpc, options=options), prepared)
+
+
+@options
+class BridgeMpcOptions(DriveMpcOptions):
+    """Options of `BridgeMpc`."""
+
+    prepared: bool = True
+    """Preparation for delays, noise, and rovers that are weaker or more slippery than the model."""
 
 
 class BridgeMpc:
-    """Crosses one bridge. `options` are those of `DriveMpcOptions` that differ from the ones here."""
+    """Crosses one bridge. `options` are those of `BridgeMpcOptions` that differ from the ones here."""
 
     def __init__(self, bridge: BridgeMap, goal_x: float, options: Mapping[str, Any] = MappingProxyType({})) -> None:
         self._bridge, self._goal_x = bridge, goal_x
-        usual = DriveMpcOptions(
+        usual = BridgeMpcOptions(
             max_speed=float(MAX_VELOCITY[0]),
             max_acceleration=ACCELERATION,
             max_rim_speed=MAX_WHEEL_SPEED * WHEEL_RADIUS,
@@ -55,8 +79,11 @@ class BridgeMpc:
             period=CONTROL_PERIOD,
         )
         self._options = changed_options(usual, options, "option of bridge_mpc")
-        self._clock = CONTROL_PERIOD * np.arange(self._options.steps + 1)
         self._mpc: DriveMpc | None = None
+        self._far_sighted = replace(self._options, steps=FAR_STEPS, period=FAR_PERIOD)
+        self._limits: DriveLimits | None = None
+        self._planned_for, self._standing = bridge, 0
+        self._escape: tuple[RegulatedPurePursuit, float] | None = None
         self._plans: dict[str, Array] = {}
         self._failed_before = 0
 
@@ -73,15 +100,48 @@ class BridgeMpc:
         """Go by this map from now on."""
         self._bridge = bridge
 
+    def limit(self, limits: DriveLimits) -> None:
+        """Keep these limits from now on."""
+        if self._limits and _kind(limits) != _kind(self._limits):
+            self._failed_before, self._mpc = self.failures, None
+        self._limits = limits
+
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Return linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
-        if self._mpc is None or distance_from_path(self._mpc, pose) > REPLAN_DISTANCE:
-            path = path_from(self._bridge, pose[:2], self._goal_x)
+        if self._mpc is None or distance_from_path(self._mpc, pose) > REPLAN_DISTANCE or self._is_stuck(velocity):
+            path = path_from(self._bridge, pose[:2], self._goal_x, self._limits.margin if self._limits else 0.0)
             if not len(path):
                 return 0.0, 0.0
             self._failed_before = self.failures
-            self._mpc = DriveMpc(path, lambda points: self._bridge.nearest(points), self._options)
+            self._planned_for, self._standing = self._bridge, 0
+            options = self._far_sighted if self._limits and _turns_slowly(self._limits) else self._options
+            self._mpc = DriveMpc(path, lambda points: self._bridge.nearest(points), options)
             self._plans["path"] = path
-        result = self._mpc.decide(pose, velocity, self._bridge.pedestrians.positions(time + self._clock))
+            if self._limits and np.abs(velocity).max() < STANDING and time > ESCAPE_TIME:
+                self._escape = RegulatedPurePursuit(path, ESCAPE), time + ESCAPE_TIME
+        if self._escape and time < self._escape[1]:
+            return self._escape[0].command(pose, float(velocity[0]))
+        if self._limits:
+            self._mpc.limit(self._limits)
+        clock = self._mpc.options.period * np.arange(self._mpc.options.steps + 1)
+        result = self._mpc.decide(pose, velocity, self._bridge.pedestrians.positions(time + clock))
         self._plans["horizon"] = result.poses[:, :2]
         return result.command
+
+    def _is_stuck(self, velocity: Array) -> bool:
+        """Return True if another path is needed: the rover stands, or the map has changed since it was planned."""
+        if self._limits is None:
+            return False
+        if len(self._bridge.pedestrians.speed):  # who stands lets people pass
+            velocity = np.full(2, np.inf)
+        self._standing = self._standing + 1 if np.abs(velocity).max() < STANDING else 0
+        return self._standing > MAX_STANDING or map_distance(self._bridge, self._planned_for) > MAP_TOLERANCE
+
+
+def _kind(limits: DriveLimits) -> tuple[bool, float]:
+    """Return what another path is planned for."""
+    return _turns_slowly(limits), limits.margin
+
+
+def _turns_slowly(limits: DriveLimits) -> bool:
+    return limits.max_turn_rate < SLOW_TURN_RATE

@@ -6,12 +6,27 @@ highest speed at which no predicted pedestrian comes near until the rover is cle
 true pose, which are privileged state.
 """
 
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.bridge_controllers import BridgePolicy, distance_from_path, path_from
-from armctl.control import RegulatedPurePursuit
+from armctl.baselines.bridge_controllers import (
+    MAP_TOLERANCE,
+    MAX_ACCELERATION,
+    BridgePolicy,
+    distance_from_path,
+    map_distance,
+    path_from,
+)
+from armctl.control import PursuitOptions, RegulatedPurePursuit
+from armctl.control.drive_nlp import DriveLimits
 from armctl.core.arrays import Array
+from armctl.core.options import NonNegative, Positive, make_options, options
 from armctl.envs import TaskVectorEnv
 from armctl.policies import made_for, sees
 from armctl.robots.rover import RADIUS
@@ -30,19 +45,38 @@ REPLAN_DISTANCE = 0.4
 """m: distance from the path at which a new one is planned."""
 
 
+@options
+class BridgeOmplOptions:
+    """Options of `BridgeOmpl`."""
+
+    prepared: bool = True
+    """Preparation for delays, noise, and rovers that are weaker or more slippery than the model."""
+    look_ahead_time: NonNegative = 0.25
+    """s: look-ahead distance per speed."""
+    lateral_acceleration: Positive = 1.5
+    """m/s^2: limits the speed in a curve."""
+
+
 @made_for("armctl/BridgeCross*", controls="rover")
 @sees("state", family="OMPL", foresight="pedestrians")
-def make(env: TaskVectorEnv) -> BridgePolicy:
+def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""
-    return BridgePolicy("bridge_ompl", env, BridgeOmpl)
+    chosen = make_options(BridgeOmplOptions, options, "option of bridge_ompl")
+    return BridgePolicy("bridge_ompl", env, functools.partial(BridgeOmpl, options=chosen), chosen.prepared)
 
 
 class BridgeOmpl:
     """Crosses one bridge."""
 
-    def __init__(self, bridge: BridgeMap, goal_x: float) -> None:
-        self._goal_x = goal_x
+    def __init__(self, bridge: BridgeMap, goal_x: float, options: BridgeOmplOptions | None = None) -> None:
+        chosen = options or BridgeOmplOptions()
+        self._goal_x, self._usual = (
+            goal_x,
+            PursuitOptions(look_ahead_time=chosen.look_ahead_time, lateral_acceleration=chosen.lateral_acceleration),
+        )
         self.see(bridge)
+        self._planned_for, self._margin, self._acceleration = bridge, 0.0, ACCELERATION
+        self._options = self._usual
         self._path: Array | None = None
         self._pursuit: RegulatedPurePursuit | None = None
 
@@ -54,14 +88,36 @@ class BridgeOmpl:
         """Go by this map from now on."""
         self._bridge, self._crossing = bridge, bridge.pedestrians.across()
 
+    def limit(self, limits: DriveLimits) -> None:
+        """Keep these limits from now on: drive slowly enough for curves, and along another path for another map."""
+        moved = map_distance(self._bridge, self._planned_for) > MAP_TOLERANCE
+        if moved or limits.margin != self._margin:
+            self._pursuit, self._margin = None, limits.margin
+        self._acceleration = min(ACCELERATION, limits.max_acceleration)
+        share = limits.max_acceleration / MAX_ACCELERATION
+        if share < 1 or limits.max_speed < self._usual.max_speed or limits.max_turn_rate < self._usual.max_turn_rate:
+            options = replace(
+                self._usual,
+                max_speed=min(self._usual.max_speed, limits.max_speed),
+                max_turn_rate=min(self._usual.max_turn_rate, limits.max_turn_rate),
+                lateral_acceleration=share * self._usual.lateral_acceleration,
+                deceleration=share * self._usual.deceleration,
+            )
+        else:
+            options = self._usual
+        if self._pursuit and options != self._options:
+            self._pursuit.limit(options)
+        self._options = options
+
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Return linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
         speed = float(velocity[0])
         if self._pursuit is None or distance_from_path(self._pursuit, pose) > REPLAN_DISTANCE:
-            path = path_from(self._bridge, pose[:2], self._goal_x)
+            path = path_from(self._bridge, pose[:2], self._goal_x, self._margin)
             if not len(path):
                 return 0.0, 0.0
-            self._path, self._pursuit = path, RegulatedPurePursuit(path)
+            self._path, self._pursuit = path, RegulatedPurePursuit(path, self._options)
+            self._planned_for = self._bridge
         linear, angular = self._pursuit.command(pose, speed)
         if linear == 0.0 or not len(self._crossing.speed):
             return linear, angular
@@ -70,20 +126,20 @@ class BridgeOmpl:
 
     def _highest_safe_share(self, pursuit: RegulatedPurePursuit, linear: float, speed: float, time: float) -> float:
         """Return the highest fraction of the speed at which the rover meets no one until it is clear of all lanes."""
-        shares = np.array(SPEEDS)
+        shares, rate = np.array(SPEEDS), self._acceleration
         clock = np.arange(0.0, FORESIGHT, 0.05)
         targets = shares[:, None] * linear
-        change = np.abs(targets - speed) / ACCELERATION
+        change = np.abs(targets - speed) / rate
         travelled = np.where(
             clock < change,
-            speed * clock + np.sign(targets - speed) * ACCELERATION * clock**2 / 2,
-            speed * change + np.sign(targets - speed) * ACCELERATION * change**2 / 2 + targets * (clock - change),
+            speed * clock + np.sign(targets - speed) * rate * clock**2 / 2,
+            speed * change + np.sign(targets - speed) * rate * change**2 / 2 + targets * (clock - change),
         )
         points = pursuit.path.points_at(pursuit.progress + travelled)
         people = self._crossing.positions(time + clock)
         distances = np.linalg.norm(points[:, :, None] - people, axis=-1).min(axis=-1)
         room = distances - RADIUS - self._crossing.radius
-        stops = pursuit.path.points_at(pursuit.progress + travelled + targets**2 / (2 * ACCELERATION))
+        stops = pursuit.path.points_at(pursuit.progress + travelled + targets**2 / (2 * rate))
         refuge = self._off_all_lanes(points) & self._off_all_lanes(stops) & (clock >= CONTROL_PERIOD)
         until = np.where(refuge.any(axis=1), refuge.argmax(axis=1), len(clock) - 1)
         closest = np.array([row[: last + 1].min() for row, last in zip(room, until, strict=True)])

@@ -9,13 +9,14 @@ plan is the command.
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.arc_path import ArcPath
-from armctl.control.drive_nlp import CONTROLS, STATES, DriveMpcOptions, DriveSolver, Solution, drive_nlp
+from armctl.control.drive_nlp import CONTROLS, STATES, DriveLimits, DriveMpcOptions, DriveSolver, Solution, drive_nlp
 from armctl.core.arrays import Array, checked_array
 from armctl.kernels import drive_mpc as kernel
 
@@ -84,7 +85,16 @@ class DriveMpc:
         self._planned: Array | None = None
         self._search: _Search | None = None
         self._solvers = {kind: DriveSolver(self.options, *kind) for kind in drive_nlp(self.options).functions}
-        self._numbers = np.array(tuple(getattr(self.options, name) for name in kernel.NAMES), kernel.OPTIONS)[()]
+        self._limits: DriveLimits | None = None
+        self._limited, self._numbers = self.options, self._kernel_options(self.options)
+
+    def limit(self, limits: DriveLimits) -> None:
+        """Keep these limits from now on, where they are lower than the options'."""
+        values = {name: min(value, getattr(self.options, name, value)) for name, value in asdict(limits).items()}
+        if (lowered := DriveLimits(**values)) != self._limits:
+            clearance = self.options.clearance + values.pop("margin")
+            self._limits, self._limited = lowered, replace(self.options, **values, clearance=clearance)
+            self._numbers = self._kernel_options(self._limited)
 
     def decide(self, pose: ArrayLike, velocity: ArrayLike, people: ArrayLike | None = None) -> DriveMpcResult:
         """Return commands for a pose x, y (m), yaw (rad) and a velocity, linear (m/s) and angular (rad/s).
@@ -157,7 +167,7 @@ class DriveMpc:
     def _solve(self, start: Array, people: Array, knots: Array, near: bool = False, brief: bool = False) -> Solution:
         """Return the plan near a guess: each of its positions is kept away from the nearest obstacles."""
         solver, points, options = self._solvers[near, brief], knots[:, :2].copy(), self.options
-        reach = options.steps * options.period * options.max_speed
+        reach = options.steps * options.period * self._limited.max_speed
         arcs = self.path.nearest(points, self.progress - SEARCH, self.progress + SEARCH + reach)
         kernel.follow_path(self.path.segments, arcs, solver.reference)
         kernel.choose_people(points, people, solver.people)
@@ -166,12 +176,14 @@ class DriveMpc:
             obstacles = self._obstacles(points)
         kernel.separate(points, obstacles, solver.planes)
         solver.start[:], solver.knots[:] = start, knots
+        if self._limits:
+            solver.limit(self._limits)
         plan = solver.solve()
         return replace(plan, cost=plan.cost - float(arcs.sum()))
 
     def _best_drive(self, start: Array, people: Array) -> Array:
         """Return the knots of the cheapest drive along or beside the path at one speed."""
-        numbers, steps, speeds = self._numbers, self.options.steps, SHARES * self.options.max_speed
+        numbers, steps, speeds = self._numbers, self.options.steps, SHARES * self._limited.max_speed
         points = np.empty((len(speeds), len(OFFSETS), steps + 2, 2))
         costs, knots = np.empty(points.shape[:2]), np.empty((steps + 1, STATES + CONTROLS))
         kernel.drive_beside(numbers, self.path.segments, start, self.progress, speeds, OFFSETS, points, costs)
@@ -182,11 +194,14 @@ class DriveMpc:
         kernel.drive_through(numbers, start, speeds[best // len(OFFSETS)], drives[best], knots)
         return knots
 
+    def _kernel_options(self, options: DriveMpcOptions) -> Any:
+        return np.array(tuple(getattr(options, name) for name in kernel.NAMES), kernel.OPTIONS)[()]
+
     def _obstacles(self, points: Array) -> Array:
         return np.ascontiguousarray(self._nearest(points), dtype=float)
 
     def _braking(self, start: Array) -> Array:
-        options, clock = self.options, self.options.period * np.arange(1, self.options.steps + 1)[:, None]
+        options, clock = self._limited, self.options.period * np.arange(1, self.options.steps + 1)[:, None]
         lost = np.array((options.max_acceleration, options.max_turn_acceleration)) * clock
         return np.asarray(np.sign(start[3:]) * np.maximum(0.0, np.abs(start[3:]) - lost))
 

@@ -36,6 +36,8 @@ PLANES, PEOPLE = 4, 3
 """Numbers of static obstacles and of pedestrians that constrain each step: the nearest ones."""
 SCALE = 10.0
 """Scale of the cost, for the solver."""
+BRAKING_SHARE = 0.8
+"""Share of the acceleration with which at least a robot brakes that is faster than it may be."""
 
 
 @options
@@ -78,6 +80,22 @@ class DriveMpcOptions:
     """Solver iterations for a plan, which bounds its time."""
     max_search_iterations: Annotated[int, Field(ge=0)] = 16
     """Solver iterations for a second plan; the search goes on in the next control step."""
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """Limits that can change from one control step to the next, below those of `DriveMpcOptions`."""
+
+    max_speed: float
+    """m/s."""
+    max_turn_rate: float
+    """rad/s."""
+    max_acceleration: float
+    """m/s^2."""
+    max_turn_acceleration: float
+    """rad/s^2."""
+    margin: float = 0.0
+    """m: added to the distance from static obstacles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +211,8 @@ class DriveSolver:
         """Where people are, (steps + 1, `PEOPLE`, 2) m."""
         self._solution, self._cost = np.zeros_like(self.knots), np.zeros(1)
         # CasADi reads and writes these arrays where they are, so they have to live as long as its buffer.
-        self._arguments: dict[str, Any] = {"x0": _variables(self.knots), "p": self.parameters, **nlp.bounds}
+        bounds = {name: bound.copy() for name, bound in nlp.bounds.items()}
+        self._arguments: dict[str, Any] = {"x0": _variables(self.knots), "p": self.parameters, **bounds}
         results: dict[str, Any] = {"x": _variables(self._solution), "f": self._cost}
         self._buffer, self._solve = function.buffer()
         for name, array in self._arguments.items():
@@ -203,6 +222,23 @@ class DriveSolver:
 
     def __reduce__(self) -> Any:
         return DriveSolver, self._made_of
+
+    def limit(self, limits: DriveLimits) -> None:
+        """Change the bounds on velocities and accelerations, and move the planes of `planes` by the margin.
+
+        Velocities above the limit brake first.
+        """
+        self.planes[..., 2] += limits.margin
+        options, start = self._made_of[0], np.abs(self.start[3:])
+        accelerations = np.array((limits.max_acceleration, limits.max_turn_acceleration))
+        clock = options.period * np.arange(1, options.steps + 1)[:, None]
+        braking = start - BRAKING_SHARE * accelerations * clock
+        highest = np.maximum((limits.max_speed, limits.max_turn_rate), braking)
+        lowest = np.maximum((min(options.max_reverse, limits.max_speed), limits.max_turn_rate), braking)
+        for name, velocities, controls in (("lbx", -lowest, -accelerations), ("ubx", highest, accelerations)):
+            bound = np.append(self._arguments[name], np.zeros(CONTROLS)).reshape(-1, STATES + CONTROLS)
+            bound[1:, 3:STATES], bound[:-1, STATES : STATES + 2] = velocities, controls
+            self._arguments[name][:] = _variables(bound)
 
     def solve(self) -> Solution:
         """Return the local optimum near the guess. A failure is a result that is not `solved`."""

@@ -65,7 +65,8 @@ class DelayPredictor:
         candidates = self.options.max_delay + 1
         self.delay: NDArray[np.intp] = np.full(n, self.options.nominal)
         """(n,) control steps: the delays now believed."""
-        self._sent = np.tile(self._idle, (candidates, n, 1))
+        self.sent: Array = np.tile(self._idle, (candidates, n, 1))
+        """Actions (candidates, n, a) that act now if the delay is that of the candidate."""
         self._previous = np.full((n, len(self._precision)), np.nan)
         self._errors, self._readings = np.zeros((candidates, n)), np.zeros(n)
         self._forget = float(np.exp(-1 / self.options.memory))
@@ -73,13 +74,13 @@ class DelayPredictor:
     def reset(self, ids: NDArray[np.integer]) -> None:
         """Forget the delays and actions of robots `ids`, which begin anew."""
         self.delay[ids] = self.options.nominal
-        self._sent[:, ids] = self._idle
+        self.sent[:, ids] = self._idle
         self._previous[ids] = np.nan
         self._errors[:, ids] = self._readings[ids] = 0.0
 
     def read(self, states: Array) -> None:
         """Compare the states (n, s) with all candidates' predictions. States that are not finite tell nothing."""
-        deviations = (self._law(self._previous, self._sent) - states) * self._precision
+        deviations = (self._law(self._previous, self.sent) - states) * self._precision
         errors = np.sqrt(1 + np.einsum("kni,kni->kn", deviations, deviations)) - 1
         usable = np.isfinite(errors).all(axis=0)
         self._errors = np.where(usable, self._forget * self._errors + errors, self._errors)
@@ -91,18 +92,21 @@ class DelayPredictor:
         needed = self.options.threshold * (1 + lowest / np.maximum(self._readings, 1.0))
         self.delay = np.where(excess > needed, best, self.delay)
 
-    def predict(self, states: Array) -> Array:
-        """Return the states (n, s) after all actions under way, from `states` (n, s): readings or estimates."""
-        states = np.array(states, dtype=float)
+    def predict(self, states: Array, law: Law | None = None) -> Array:
+        """Return the states (n, s) after all actions under way, from `states` (n, s): readings or estimates.
+
+        `law` is the one of the believed candidates, if each has its own.
+        """
+        law, states = law or self._law, np.array(states, dtype=float)
         for steps in range(int(self.delay.max(initial=0)), 0, -1):
-            waiting = self.delay >= steps
-            states[waiting] = self._law(states[waiting], self._sent[steps - 1, waiting])
+            waiting = (self.delay >= steps)[:, None]
+            states = np.where(waiting, law(states, self.sent[steps - 1]), states)
         return states
 
     def send(self, actions: Array) -> None:
         """Remember the actions (n, a) that are sent now."""
-        self._sent = np.concatenate((actions[None], self._sent[:-1]))
+        self.sent = np.concatenate((actions[None], self.sent[:-1]))
 
     def acting(self) -> Array:
         """Return the actions (n, a) believed to have acted between the last two readings."""
-        return np.asarray(self._sent[self.delay, np.arange(len(self.delay))])
+        return np.asarray(self.sent[self.delay, np.arange(len(self.delay))])

@@ -58,6 +58,11 @@ class RegulatedPurePursuit:
         self.progress = 0.0
         """Arc length (m) of the path's point nearest to the robot; it never decreases."""
 
+    def limit(self, options: PursuitOptions) -> None:
+        """Go on along the path with other options."""
+        self.options = options
+        self._profile_arc, self._profile = self._speed_profile()
+
     def command(self, pose: ArrayLike, speed: float) -> tuple[float, float]:
         """Return linear (m/s) and angular velocity (rad/s) for a pose x, y (m), yaw (rad) and a speed (m/s)."""
         x, y, yaw = (float(number) for number in np.asarray(pose))
