@@ -25,7 +25,7 @@ MAX_TURN_RATE, MAX_ACCELERATION, MAX_TURN_ACCELERATION = 2.5, 4.0, 10.0
 """rad/s, m/s^2, rad/s^2: limits of a rover of nominal response. It can accelerate and brake at 5.5."""
 LIMIT_SHARE = 0.8
 """Share of a learned limit that is used."""
-PROBED_ACCELERATION, PROBE = 4.6, np.array((1.0, 1.0, 1.0, -1.0, -1.0, -1.0))
+PROBED_ACCELERATION, PROBE = 4.1, np.array((1.0, 1.0, 1.0, -1.0, -1.0, -1.0))
 """m/s^2, below which a rover's turn rate is tried, and the commands for that, rad/s: a load and weak motors hardly let
 it turn, slippery wheels do."""
 MAP_TOLERANCE = 0.06

@@ -26,7 +26,7 @@ from armctl.baselines.bridge_controllers import (
 from armctl.control import PursuitOptions, RegulatedPurePursuit
 from armctl.control.drive_nlp import DriveLimits
 from armctl.core.arrays import Array
-from armctl.core.options import NonNegative, Positive, make_options, options
+from armctl.core.options import NonNegative, Positive, changed_options, options
 from armctl.envs import TaskVectorEnv
 from armctl.policies import made_for, sees
 from armctl.robots.rover import RADIUS
@@ -61,7 +61,7 @@ class BridgeOmplOptions:
 @sees("state", family="OMPL", foresight="pedestrians")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""
-    chosen = make_options(BridgeOmplOptions, options, "option of bridge_ompl")
+    chosen = changed_options(BridgeOmplOptions(), options, "option of bridge_ompl")
     return BridgePolicy("bridge_ompl", env, functools.partial(BridgeOmpl, options=chosen), chosen.prepared)
 
 

@@ -72,7 +72,7 @@ def test_it_learns_what_weak_drives_can_do():
     velocities = np.concatenate((np.tile((1.5, 0.0), (10, 3, 1)), np.tile((1.0, 1.5), (10, 3, 1))))
     observer, _, _ = drive(Drives(3, (2.0, 8.0), (2.0, 0.25)), velocities)
     np.testing.assert_allclose(observer.response.acceleration[:, 0], 2.0, rtol=0.35)
-    np.testing.assert_allclose(observer.response.speed[:, 1], 0.25, rtol=0.1)
+    np.testing.assert_allclose(observer.response.speed[:, 1], 0.25, rtol=0.25)
 
 
 def test_nominal_drives_stay_nominal():

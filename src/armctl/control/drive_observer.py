@@ -81,6 +81,8 @@ class DriveObserverOptions:
     """Growth of a limit in each step in which it is reached."""
     offset_gain: Share = 0.2
     """Share of each deviation that goes into the offsets."""
+    max_deviation: tuple[NonNegative, NonNegative] = (0.15, 0.25)
+    """Deviations, m/s and rad/s, beyond which they are no offsets."""
     max_offset: tuple[NonNegative, NonNegative] = (0.4, 0.3)
     """Largest offsets, m/s and rad/s."""
 

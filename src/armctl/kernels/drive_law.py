@@ -32,6 +32,7 @@ class Nominal(NamedTuple):
     min_acceleration: Array
     recovery: float
     offset_gain: float
+    max_deviation: Array
     max_offset: Array
 
 
@@ -119,6 +120,6 @@ def learn_channel(nominal, response, place, velocity, command, reply, slow_share
         response.speed[i, k] = min(grown, nominal.max_command[k])
     response.stalled[i, k] = stalled
     if size < reach or change < nominal.min_change * expected:
-        offset = response.offset[i, k] - nominal.offset_gain * deviation
+        offset = response.offset[i, k] - nominal.offset_gain * clipped(deviation, nominal.max_deviation[k])
         response.offset[i, k] = clipped(offset, nominal.max_offset[k])
     return short
