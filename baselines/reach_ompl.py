@@ -5,18 +5,28 @@ From the observed joints, it moves towards the farthest point of its path that a
 than its drives need to stop, it goes back to the nearest point of the path. It plans once per episode, from the
 observation alone, which includes the boxes, and again if it sees nothing of its path. A plan that failed is not asked
 for again as it was.
+
+With the option `jerk_limited`, it executes the path by the clock instead, as one trajectory within limits of jerk.
 """
+
+import itertools
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.baselines.reach_task import checked_options
-from armctl.control.streaming import follow
+from armctl.control.streaming import CommandStream, follow
+from armctl.control.trajectory import Trajectory, smooth
 from armctl.core.arrays import Array
+from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.policies import PerWorld, made_for, sees
+from armctl.robot_description.joint_profiles import towards
 from armctl.scene import Boxes
 from armctl.tasks import ReachObstaclesOptions
 from armctl.tasks.reach import CONTROL_PERIOD, read_boxes
@@ -40,16 +50,32 @@ LOST = 0.1
 """rad: beyond, the joints do not follow this expert's commands. Servos are off by 0.08 at most."""
 REPLAN_STEPS = 5
 """Control steps after a plan until the next; none while there are clearances left."""
+SMOOTHING = 0.3
+"""Weight of the latest reading of the joints' lag behind a trajectory: a tremble of readings is not lost."""
+SAMPLE = 0.02
+"""s: time between the configurations from which to which a trajectory is checked."""
+
+
+@options
+class ReachOmplOptions:
+    """Options of the expert."""
+
+    jerk_limited: bool = False
+    """Execute paths as trajectories within limits of jerk: smoother and slower, and best with control=velocity."""
 
 
 @made_for("armctl/ArmReachObstacles-v0", controls="arms: position")
 @sees("model", family="OMPL")
-def make(env: ModelInterface) -> PerWorld:
+def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """OMPL path around the obstacles, towards its farthest point in sight of the observed joints."""
     env_id = "armctl/ArmReachObstacles-v0"
-    options = checked_options("reach_ompl", env, ReachObstaclesOptions, env_id, OBSTACLES_OBSERVATION, ["position"])
-    model = ArmModel(env.robot)
-    return PerWorld([ReachOmpl(model, options.tolerance, CONTROL_PERIOD) for _ in range(env.num_envs)])
+    choice = changed_options(ReachOmplOptions(), options, "option of reach_ompl")
+    controls = ["position", "velocity"] if choice.jerk_limited else ["position"]
+    task = checked_options("reach_ompl", env, ReachObstaclesOptions, env_id, OBSTACLES_OBSERVATION, controls)
+    setting = ArmModel(env.robot), task.tolerance, CONTROL_PERIOD
+    if choice.jerk_limited:
+        return PerWorld([JerkLimitedReachOmpl(*setting, task.control) for _ in range(env.num_envs)])
+    return PerWorld([ReachOmpl(*setting) for _ in range(env.num_envs)])
 
 
 class ReachOmpl:
@@ -154,3 +180,49 @@ class ReachOmpl:
         """
         assert self._braking is not None
         return all(self._braking.stops_freely(position - lag, velocity, goal - lag) for lag in (0.0, position - q))
+
+
+class JerkLimitedReachOmpl(ReachOmpl):
+    """Executes the first plan as a jerk-limited trajectory, by the clock; goes on as `ReachOmpl` if the arm leaves it.
+
+    It is as fast as is free of collisions, since it cuts the path's corners.
+    """
+
+    def __init__(self, model: ArmModel, tolerance: float, period: float, control: str) -> None:
+        self._control = control
+        super().__init__(model, tolerance, period)
+
+    def reset(self) -> None:
+        """Forget the plan, and the own commands."""
+        super().reset()
+        self._trajectory: Trajectory | None = None
+        self._elapsed, self._lag = 0.0, np.zeros(self._model.dof)
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Return joint positions (dof,) to move to, or velocities, for an observation (6 + dof + boxes,)."""
+        dof, limits = self._model.dof, self._model.limits
+        _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        q = np.clip(q, limits.lower, limits.upper)
+        if self._elapsed == 0.0:
+            self._plan(q, target, read_boxes(boxes))
+            if len(self._path) > 1:
+                self._trajectory = smooth(limits, np.clip(self._path, limits.lower, limits.upper), self._is_free)
+                self._stream = CommandStream(limits, self._period, q)
+        self._elapsed += self._period
+        if self._trajectory is not None:
+            is_late = self._elapsed > self._trajectory.duration + REPLAN_STEPS * self._period
+            self._lag += SMOOTHING * (q - self._stream.position - self._lag)
+            if is_late or np.abs(self._lag).max() > LOST:
+                self._trajectory = None
+        if self._trajectory is None:
+            goal = super().act(observation)
+            return goal if self._control == "position" else towards(goal, q, limits, self._period)
+        state = self._trajectory.at(self._elapsed), self._trajectory.velocity_at(self._elapsed)
+        through = self._stream.goal_through if self._control == "position" else self._stream.velocity_through
+        return through(*state)
+
+    def _is_free(self, trajectory: Trajectory) -> bool:
+        """Return True if a trajectory keeps the distance of the motions ahead."""
+        assert self._sight is not None
+        places = trajectory.at(np.arange(0.0, trajectory.duration + SAMPLE, SAMPLE))
+        return all(self._sight.is_edge_free(*edge) for edge in itertools.pairwise(places))

@@ -9,6 +9,7 @@ from armctl.envs import make_worlds
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlan, ArmPlanner, PathCertificateOptions
 from armctl.policies import make_policy
+from armctl.rollout import evaluate
 from armctl.tasks.reach import read_boxes
 
 OBSTACLES = "armctl/ArmReachObstacles-v0"
@@ -178,3 +179,24 @@ def test_joints_that_are_off_their_drives_stop_freely(model, played):
             safe.append(free)
     assert len(safe) > 50
     assert all(safe)
+
+
+def test_jerk_limited_paths_are_smoother_and_free(sized):
+    n = sized(6, 50)
+
+    def results(policy, **options):
+        return evaluate(policy, OBSTACLES, episodes=n, seed=100, worlds=n, env_options=options, lower_bound_steps=False)
+
+    smooth, plain = results("reach_ompl:jerk_limited=true", control="velocity"), results("reach_ompl")
+    for played in (smooth, plain):
+        assert (played.outcome == "reached").mean() >= 0.95
+    assert smooth.joint_jerk_rms.mean() < 0.75 * plain.joint_jerk_rms.mean()
+    assert smooth.tip_jerk_max.mean() < 0.75 * plain.tip_jerk_max.mean()
+
+
+@pytest.mark.parametrize("disturbances", [{"noise": 0.05}, {"pushes": 40}])
+def test_an_arm_that_leaves_its_trajectory_goes_on_by_sight(disturbances):
+    options = {"control": "velocity", "disturbances": disturbances}
+    policy = "reach_ompl:jerk_limited=true"
+    played = evaluate(policy, OBSTACLES, episodes=6, seed=100, worlds=6, env_options=options, lower_bound_steps=False)
+    assert (played.outcome == "reached").sum() >= 3

@@ -49,6 +49,10 @@ class Trajectory:
         share = np.clip(samples - first, 0.0, 1.0)[..., None]
         return np.asarray((1 - share) * self.positions[first] + share * self.positions[second])
 
+    def velocity_at(self, time: float) -> Array:
+        """Return velocities (dof,) rad/s at a time, s: means over a sample."""
+        return np.asarray((self.at(time + SAMPLE / 2) - self.at(time - SAMPLE / 2)) / SAMPLE)
+
 
 class JerkLimitedMotion:
     """The commanded motion of joints that goes on by a period at a time, to a goal that may change at each of them.
