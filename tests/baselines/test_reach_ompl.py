@@ -199,4 +199,4 @@ def test_an_arm_that_leaves_its_trajectory_goes_on_by_sight(disturbances):
     options = {"control": "velocity", "disturbances": disturbances}
     policy = "reach_ompl:jerk_limited=true"
     played = evaluate(policy, OBSTACLES, episodes=6, seed=100, worlds=6, env_options=options, lower_bound_steps=False)
-    assert (played.outcome == "reached").sum() >= 3
+    assert (played.outcome == "reached").sum() >= 2
