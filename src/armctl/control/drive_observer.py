@@ -11,7 +11,6 @@ drives, a load, and wheels of other radii need no model of their own. `DelayPred
 candidates learns a response of its own.
 """
 
-import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -112,14 +111,12 @@ class DriveResponse:
         self.speed[..., ids, :] = self.options.max_command
         self.offset[..., ids, :] = self._stalled[..., ids, :] = 0.0
 
-    def chosen(self, which: NDArray[np.integer]) -> "DriveResponse":
-        """Return the response of row `which` (n,) in each of n columns."""
+    def choose(self, which: NDArray[np.integer], chosen: "DriveResponse") -> None:
+        """Write the response of row `which` (n,) in each of n columns into `chosen`."""
         columns = len(which)
-        picked = which * columns + np.arange(columns)
-        chosen = copy.copy(self)
-        chosen._rows = kernel.Response(*(part[picked] for part in self._rows))
-        chosen.acceleration, chosen.speed, chosen.offset, chosen._stalled = chosen._rows
-        return chosen
+        rows = which * columns + np.arange(columns)
+        for source, target in zip(self._rows, chosen._rows, strict=True):
+            np.take(source, rows, axis=0, out=target)
 
     def law(self, states: Array, commands: Array) -> Array:
         """Return the states (..., n, 5) a period after `states` (n, 5), with commands (..., n, 2).
@@ -153,7 +150,7 @@ class DriveObserver:
         scale = (np.inf, np.inf, np.inf, *self.options.accuracy)
         self._predictor = DelayPredictor(self._responses.law, n, np.zeros(2), scale, delay_options)
         self._velocities = np.full((n, 2), np.nan)
-        self.response = self._responses.chosen(self.delay)
+        self.response = DriveResponse.nominal((n,), self.options)
         """The responses (n,) of the robots."""
         self._filter = KalmanFilter(MODEL, n, EstimationOptions(noise_memory=NOISE_MEMORY))
 
@@ -179,7 +176,7 @@ class DriveObserver:
         velocities = estimates[:, 3:].copy()
         self._responses.learn(self._velocities, self._predictor.sent, velocities, noisy)
         self._velocities = velocities
-        self.response = self._responses.chosen(self.delay)
+        self._responses.choose(self.delay, self.response)
         return self._predictor.predict(estimates, self.response.law)
 
     def command(self, velocities: Array) -> Array:

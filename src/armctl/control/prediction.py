@@ -19,6 +19,7 @@ from pydantic import Field
 from armctl.core.arrays import Array, checked_array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, options
+from armctl.kernels import delay_bank as kernel
 
 Law = Callable[[Array, Array], Array]
 """Law of motion: states (..., s) and actions (..., a) -> the states one control step later, (..., s)."""
@@ -63,7 +64,7 @@ class DelayPredictor:
             raise ConfigurationError(f"scale should be numbers above 0, not {scale!r}")
         self._precision = 1 / np.asarray(scale, dtype=float)
         candidates = self.options.max_delay + 1
-        self.delay: NDArray[np.intp] = np.full(n, self.options.nominal)
+        self.delay: NDArray[np.intp] = np.full(n, self.options.nominal, dtype=np.intp)
         """(n,) control steps: the delays now believed."""
         self.sent: Array = np.tile(self._idle, (candidates, n, 1))
         """Actions (candidates, n, a) that act now if the delay is that of the candidate."""
@@ -80,17 +81,13 @@ class DelayPredictor:
 
     def read(self, states: Array) -> None:
         """Compare the states (n, s) with all candidates' predictions. States that are not finite tell nothing."""
-        deviations = (self._law(self._previous, self.sent) - states) * self._precision
-        errors = np.sqrt(1 + np.einsum("kni,kni->kn", deviations, deviations)) - 1
-        usable = np.isfinite(errors).all(axis=0)
-        self._errors = np.where(usable, self._forget * self._errors + errors, self._errors)
-        self._readings = np.where(usable, self._forget * self._readings + 1, self._readings)
-        self._previous = np.array(states, dtype=float)
-        robots, best = np.arange(len(self.delay)), self._errors.argmin(axis=0)
-        lowest = self._errors[best, robots]
-        excess = self._errors[self.delay, robots] - lowest
-        needed = self.options.threshold * (1 + lowest / np.maximum(self._readings, 1.0))
-        self.delay = np.where(excess > needed, best, self.delay)
+        states = np.array(states, dtype=float)
+        predictions = np.ascontiguousarray(self._law(self._previous, self.sent), dtype=float)
+        kernel.weigh(
+            predictions, states, self._precision, self._forget, self.options.threshold,
+            self._errors, self._readings, self.delay,
+        )  # fmt: skip
+        self._previous = states
 
     def predict(self, states: Array, law: Law | None = None) -> Array:
         """Return the states (n, s) after all actions under way, from `states` (n, s): readings or estimates.
