@@ -157,11 +157,11 @@ class BridgePolicy:
         """Return linear and angular velocities (n, 2), m/s and rad/s."""
         perceived = self._env.perceived()
         noisy = perceived is not self._env.task
-        if noisy:
+        if noisy or self._env.task.options.pedestrians == "reactive":
             for i, controller in enumerate(self._controllers):
                 if controller:
                     bridge = perceived.map(i)
-                    controller.see(self._maps[i].with_map(bridge) if self._observer else bridge)
+                    controller.see(self._maps[i].with_map(bridge) if self._observer and noisy else bridge)
         state = perceived.state
         if self._observer:
             return self._act_prepared(

@@ -1,5 +1,7 @@
 """Velocity obstacles against their definition, and the best velocity against a solver of quadratic programmes."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -45,10 +47,13 @@ def test_the_best_velocity_is_that_of_a_quadratic_programme(seed):
     angles, preferred = rng.uniform(0, 2 * np.pi, 6), rng.uniform(-2, 2, 2)
     normals, bounds = np.column_stack((np.cos(angles), np.sin(angles))), -rng.uniform(0, 1, 6)
     best = nearest_velocity(preferred, normals, bounds, np.zeros(6, dtype=bool))
-    kept = {"type": "ineq", "fun": lambda v: normals @ v - bounds}
-    expected = minimize(
-        lambda v: ((v - preferred) ** 2).sum(), np.zeros(2), constraints=[kept], method="SLSQP", tol=1e-12
-    )
+
+    def distance(velocity):
+        return float(((velocity - preferred) ** 2).sum())
+
+    kept: Any = {"type": "ineq", "fun": lambda v: normals @ v - bounds}
+    solve: Any = minimize
+    expected = solve(distance, np.zeros(2), constraints=[kept], method="SLSQP", tol=1e-12)
     np.testing.assert_allclose(best, expected.x, atol=1e-3)
 
 
@@ -61,7 +66,7 @@ def test_only_soft_half_planes_give_way():
 
 def test_two_who_take_half_each_pass_each_other():
     positions, goals = np.array([(-2.0, 0.01), (2.0, -0.01)]), np.array([(1.0, 0.0), (-1.0, 0.0)])
-    velocities, closest = goals.copy(), np.inf
+    velocities, distances = goals.copy(), []
     for _ in range(60):
         chosen = []
         for me, other in ((0, 1), (1, 0)):
@@ -71,7 +76,7 @@ def test_two_who_take_half_each_pass_each_other():
             chosen.append(nearest_velocity(goals[me], normal[None], np.array([bound]), np.array([True])))
         velocities = np.array(chosen)
         positions = positions + PERIOD * velocities
-        closest = min(closest, np.linalg.norm(positions[0] - positions[1]))
-    assert closest > 0.59
+        distances.append(np.linalg.norm(positions[0] - positions[1]))
+    assert np.min(distances) > 0.59
     assert positions[0, 0] > 1
     assert positions[1, 0] < -1

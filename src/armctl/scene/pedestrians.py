@@ -61,21 +61,29 @@ class PedestrianTrajectories:
 
     def positions(self, times: ArrayLike) -> Array:
         """Return positions (..., w, 2) m at times (...) s."""
+        return self.positions_of_each(np.asarray(times, dtype=float)[..., None])
+
+    def velocities(self, times: ArrayLike) -> Array:
+        """Return velocities (..., w, 2) m/s at times (...) s."""
+        return self.velocities_of_each(np.asarray(times, dtype=float)[..., None])
+
+    def positions_of_each(self, times: Array) -> Array:
+        """Return positions (..., w, 2) m, of each pedestrian at a time of its own, (..., w) s."""
         walked, length = self._walked(times)
         share = np.abs(walked - length) / length  # 1 at the start, 0 at the end
         return np.asarray(self.end + (self.start - self.end) * share[..., None])
 
-    def velocities(self, times: ArrayLike) -> Array:
-        """Return velocities (..., w, 2) m/s at times (...) s."""
+    def velocities_of_each(self, times: Array) -> Array:
+        """Return velocities (..., w, 2) m/s, of each pedestrian at a time of its own, (..., w) s."""
         walked, length = self._walked(times)
         speed = np.where(walked < length, self.speed, -self.speed) / length
         return np.asarray(speed[..., None] * (self.end - self.start))
 
-    def _walked(self, times: ArrayLike) -> tuple[Array, Array]:
+    def _walked(self, times: Array) -> tuple[Array, Array]:
         """Return the distance (..., w) m since each left the start, and the lengths (w,) m of the lines."""
         length = np.linalg.norm(self.end - self.start, axis=-1)
         length = np.where(length > 0, length, 1.0)  # on a line of length 0 the pedestrian stands
-        return (self.phase + np.asarray(times, dtype=float)[..., None] * self.speed) % (2 * length), length
+        return (self.phase + times * self.speed) % (2 * length), length
 
 
 NO_PEDESTRIANS = PedestrianTrajectories(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0.0)

@@ -33,6 +33,7 @@ from armctl.tasks.bridge.perceived import PerceivedBridges
 from armctl.tasks.bridge.physical import PhysicalRover
 from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo, CrossingTimeToGo
+from armctl.tasks.bridge.reactive import make_pedestrians
 from armctl.tasks.bridge.state import BridgeState
 from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world, free_half_width
 from armctl.tasks.learner_view import FeatureSpec, LearnerView
@@ -95,10 +96,8 @@ class BridgeTask(Task):
         self.rover = self._make_rover()
         self.joints = self.rover.joints
         self._see = self._make_camera()
-        worlds, walkers = np.arange(n, dtype=np.int32), (n, options.walkers)
-        self._pedestrians = PedestrianTrajectories(
-            np.zeros((*walkers, 2)), np.zeros((*walkers, 2)), np.zeros(walkers), np.zeros(walkers), WALKER_RADIUS
-        )
+        worlds = np.arange(n, dtype=np.int32)
+        self._people = make_pedestrians(n, options)
         self._layouts: list[Layout] = [self._sample_episode(np.random.default_rng(0))] * n
         self._blocks = np.zeros((n, options.blocks, 5))
         self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
@@ -170,15 +169,16 @@ class BridgeTask(Task):
     def map(self, world: int) -> BridgeMap:
         """Return the map of a world's bridge, which is privileged knowledge, with the pedestrians' whole trajectories.
 
-        Raises `ConfigurationError` while a policy acts that does not declare to foresee these.
+        Those of pedestrians who give way are as they would go on if they met nobody any more. Raises
+        `ConfigurationError` while a policy acts that does not declare to foresee these.
         """
         if self.granted is not None and self.foresight:
             check_declared("pedestrians", "state", self.granted)
-        return self._layouts[world].map
+        return self._people.on(self._layouts[world].map, world)
 
     def preview(self, name: str, world: int) -> PedestrianTrajectories:
-        """Return a copy of the trajectories of a world's pedestrians."""
-        return copy.deepcopy(self._layouts[world].map.pedestrians)
+        """Return a copy of the trajectories of a world's pedestrians, as in `map`."""
+        return copy.deepcopy(self._people.on(self._layouts[world].map, world).pedestrians)
 
     def static_map(self, world: int) -> BridgeMap:
         """Return a copy of the map, without pedestrians."""
@@ -198,10 +198,11 @@ class BridgeTask(Task):
         self._furniture.place(ids, layouts)
         self.rover.place(ids, layouts)
         for name in ("start", "end", "speed", "phase"):
-            getattr(self._pedestrians, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
+            getattr(self._people.lines, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
 
     def _begin(self, ids: Ids) -> None:
         self._time[ids] = 0.0
+        self._people.reset(ids)
         self._move_walkers(ids)
         self.rover.begin(ids)
         self._action[ids] = 0.0
@@ -216,11 +217,15 @@ class BridgeTask(Task):
 
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
-        for positions in self._furniture.poses.positions:
+        times = np.tile(self._time, (1 + MOVES, 1))
+        for moment in times[1:]:
             self._time[slice(None) if ids is None else ids] += CONTROL_PERIOD / MOVES
-            if self.options.walkers:
-                np.copyto(positions, self._pedestrians.positions(self._time))
+            moment[:] = self._time
+        if self.options.walkers:
+            places = self._people.walk(times, self.rover.poses, self.rover.velocities[:, 0])
+            np.copyto(self._furniture.poses.positions, places)
         self.rover.drive(ids)
+        self._people.note(self._time, self.rover.poses)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """Return pose, velocity and own motion."""
@@ -238,7 +243,7 @@ class BridgeTask(Task):
 
     def state_observation(self, ids: Ids | None = None) -> NDArray[np.float32]:
         """Return pose, velocities, blocks and pedestrians (n, k)."""
-        return full_state(self.state, self._blocks, self._pedestrians)[slice(None) if ids is None else ids]
+        return full_state(self.state, self._blocks, self._people)[slice(None) if ids is None else ids]
 
     def perceived(self, numbers: NDArray[np.float32]) -> PerceivedBridges:
         """Return what policies that see the state read instead of this task, if its state has these numbers."""
@@ -284,11 +289,9 @@ class BridgeTask(Task):
     def min_clearance(self, world: int, configurations: Array) -> float:
         """Return the least distance (m) of the turning disc from sides, blocks and people; negative in penetration."""
         bridge, points = self.map(world), configurations[:, :2]
-        people = bridge.pedestrians
         standing = np.linalg.norm(bridge.nearest(points) - points[:, None], axis=-1)
         times = CONTROL_PERIOD * np.arange(1, len(points) + 1)
-        walking = np.linalg.norm(people.positions(times) - points[:, None], axis=-1) - people.radius
-        return float(min(standing.min(), walking.min(initial=np.inf))) - RADIUS
+        return min(float(standing.min()), self._people.closest(bridge, world, times, points)) - RADIUS
 
     def _sample_episode(self, rng: np.random.Generator) -> Layout:
         options = self.options
@@ -298,7 +301,7 @@ class BridgeTask(Task):
 
     def _move_walkers(self, worlds: NDArray[np.int32]) -> None:
         if self.options.walkers:
-            self._furniture.move_walkers(worlds, self._pedestrians.positions(self._time)[worlds])
+            self._furniture.move_walkers(worlds, self._people.positions(self._time)[worlds])
 
     def _make_rover(self) -> PhysicalRover | PlanarRover:
         if self.options.dynamics == "physics":

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.robots.rover import CAMERA, GEOM_GROUP
-from armctl.scene import PedestrianTrajectories
 from armctl.simulation import Camera, RayCamera, Simulation
 from armctl.tasks.bridge.layout import MAX_BLOCK_YAW, WALKER_SPEEDS
 from armctl.tasks.bridge.options import BridgeOptions
+from armctl.tasks.bridge.pedestrians import Pedestrians
 from armctl.tasks.bridge.state import BridgeState
 from armctl.tasks.bridge.world import BLOCK_SIZES, CONTACT_CLASSES, LOOKS
 from armctl.tasks.task import Ids
@@ -74,7 +74,7 @@ def _nearness(depths: NDArray[np.float32]) -> NDArray[np.float32]:
     return NEAR / (NEAR + depths)
 
 
-def full_state(state: BridgeState, blocks: Array, pedestrians: PedestrianTrajectories) -> NDArray[np.float32]:
+def full_state(state: BridgeState, blocks: Array, pedestrians: Pedestrians) -> NDArray[np.float32]:
     """Return pose (x, y, cos yaw, sin yaw), velocities, blocks (5 each) and pedestrians (4 each), (n, k)."""
     n, (x, y, yaw) = len(blocks), state.poses.T
     velocities = np.clip(state.velocities, -FASTEST, FASTEST)

@@ -33,6 +33,9 @@ class BridgeOptions:
     """Barrier blocks on the deck, at new places in each episode."""
     walkers: Walkers = 0
     """Person-sized obstacles that walk across and along the bridge."""
+    pedestrians: Literal["scripted", "reactive"] = "scripted"
+    """`scripted`: walkers give way to nobody. `reactive`: they slow down or step aside for the rover and for each
+    other, by a social force; see `armctl.tasks.bridge.reactive`."""
     missing_barriers: Annotated[int, Field(ge=0, le=100)] = 1
     """Jersey barriers that are missing, different ones in each episode: there, the deck has an open edge."""
     dynamics: Literal["physics", "kinematic"] = "physics"
