@@ -22,6 +22,7 @@ from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
+from armctl.kinematics.room import ROOM, with_room
 from armctl.policies import PerWorld, made_for, sees
 from armctl.robot_description.joint_profiles import towards
 from armctl.tasks import OBSERVATION, ReachMovingOptions, ReachOptions
@@ -38,6 +39,8 @@ DAMPING = 1e-4
 """m^2, of joint velocities near singularities."""
 LARGEST_CORRECTION = 0.2
 """rad, of a plan in a control step."""
+NEWTON_STEPS, TRACKING_DAMPING = 4, 8e-3
+"""Corrections of a posture in a control step; their damping, m^2, with which joints turn slowly near singularities."""
 REPLAN_STEPS = 5
 """Control steps after the planned arrival until it plans again."""
 
@@ -178,27 +181,60 @@ class PreparedReachIk(ReachIk):
 
 
 class PreparedReachIkTracking(ReachIkTracking):
-    """Tracks a moving target by estimates, from where the arm will be when a command acts."""
+    """Tracks a moving target by estimates: meets it in a posture with room around, which is kept while that goes well.
+
+    Drives that stop where the target will be on arrival do not overshoot it.
+    """
 
     def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, control: str) -> None:
         self._belief = ArmObserver(search.model, CONTROL_PERIOD, moving=True)
         super().__init__(search, tolerance, radius, control)
 
     def reset(self) -> None:
-        """Forget all readings."""
+        """Forget the posture and all readings."""
         super().reset()
         self._belief.reset()
+        self._posture: Array | None = None
+        self._patience = 0
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return joint positions (dof,) to move to, for an observation, whose last part is the target's velocity."""
-        belief, dof = self._belief, self._search.model.dof
-        tip, q, target, velocity = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        belief, model = self._belief, self._search.model
+        tip, q, target, velocity = np.split(observation.astype(float), (3, 3 + model.dof, 6 + model.dof))
         belief.read(tip, q, target, velocity)
         start = belief.commanded
-        offset = belief.tip_offset(start)
-        target, velocity = belief.target_ahead(np.zeros(())) - offset, belief.target_velocity_ahead()
-        near = np.linalg.norm(self._search.model.position(start) - target) <= self._tolerance
-        goal = None if near else self._meet(start, target, velocity)
-        command = (self._along(start, target, velocity) if goal is None else goal) - belief.load_offset
+        if self._is_lost():
+            self._choose(start)
+        assert self._posture is not None
+        ahead = float(np.clip(model.min_time(start, self._posture), LAG, FARTHEST_AHEAD))
+        meeting = belief.target_ahead(ahead)
+        fastest = model.limits.velocity * CONTROL_PERIOD
+        lower = np.maximum(self._posture - fastest, model.limits.lower)
+        upper = np.minimum(self._posture + fastest, model.limits.upper)
+        for _ in range(NEWTON_STEPS):  # joints at their speed limit leave the rest to the others
+            error = meeting - model.position(self._posture) - belief.tip_offset(self._posture)
+            step = damped_step(model.jacobian(self._posture)[:3], error, TRACKING_DAMPING)
+            self._posture = np.clip(self._posture + step, lower, upper)
+        speeds = damped_step(model.jacobian(self._posture)[:3], belief.target_velocity_ahead(), TRACKING_DAMPING)
+        command = self._posture + speeds * np.abs(speeds) / (2 * model.limits.acceleration) - belief.load_offset
         belief.send(command)
         return np.asarray(command)
+
+    def _is_lost(self) -> bool:
+        """Return True without a posture, or if it is in collision or has not brought the arm to the target in time."""
+        self._patience -= 1
+        inside = float(np.linalg.norm(self._belief.tip - self._belief.target)) < self._tolerance
+        if inside:
+            self._patience = max(self._patience, REPLAN_STEPS)
+        if self._posture is None or self._patience < 0:
+            return True
+        return not inside and self._patience < REPLAN_STEPS and not self._search.model.is_free(self._posture)
+
+    def _choose(self, start: Array) -> None:
+        """Choose a posture in which to meet the target, from `start` (dof,), and how long to wait for that."""
+        model, target = self._search.model, self._belief.target_ahead(LAG)
+        offset = 0.0 if self._posture is None else self._belief.tip_offset(self._posture)
+        posture = with_room(self._search.ik, target - offset, start, ROOM)
+        self._posture = self._search.ik.position(target - offset, start).closest if posture is None else posture
+        time = float(model.min_time(start, self._posture))
+        self._patience = math.ceil(time / CONTROL_PERIOD) + self._belief.delay + 2 * REPLAN_STEPS

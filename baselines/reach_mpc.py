@@ -21,7 +21,8 @@ from armctl.control.streaming import CommandStream
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
-from armctl.kinematics import ArmModel, ReachabilityMap
+from armctl.kinematics import ArmModel, Ik, ReachabilityMap
+from armctl.kinematics.room import ROOM, with_room
 from armctl.policies import PerWorld, made_for, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
@@ -70,6 +71,7 @@ class ReachWithMpc:
         self.mpc = ReachMpc(self._model, options)
         period = self.mpc.problem.period
         self._belief = ArmObserver(self._model, period, self._moving) if options.prepared else ArmReadings(period)
+        self._ik, self._tracks = Ik(self._model), self._moving and options.prepared
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
 
     @property
@@ -109,7 +111,7 @@ class ReachWithMpc:
             return self._first_goal(extra)
         if self._is_stuck(distance):
             self._posture = self._chosen()
-            if not self._boxed:
+            if not self._boxed and not self._tracks:
                 self._stream = self._plan = None
         if self._stream is None:
             if np.abs(belief.commanded - self._posture).max() > POSTURE_TOLERANCE:
@@ -148,6 +150,10 @@ class ReachWithMpc:
         q, target = self._belief.commanded, self._belief.target
         if self._posture is not None:
             target = target - self._belief.tip_offset(self._arrival())
+        if self._tracks:
+            posture = with_room(self._ik, target, q, ROOM)
+            if posture is not None:
+                return posture
         goal, self._guided, self._way = self._map.towards(target, q, self.mpc.model), False, []
         straight = self._posture is None and self.mpc.model.are_free(np.linspace(q, goal, WAY_POINTS)).all()
         if not self._boxed or straight:
