@@ -39,7 +39,8 @@ def room(model: ArmModel, q: Array, distance: float) -> Array:
 def with_room(ik: Ik, target: Array, start: Array, distance: float) -> Array | None:
     """Return the configuration (dof,) at `target` (3,) that is soonest reached with the most room.
 
-    It is None if there is no configuration. Full room at `distance` (m) is worth `FULL_ROOM` of the way from `start` (dof,), which is free if possible.
+    It is None if there is no configuration. Full room at `distance` (m) is worth `FULL_ROOM` of the way from `start`
+    (dof,), which is free if possible.
     """
     model = ik.model
     goals = np.array(list(ik.free_configurations(target))).reshape(-1, model.dof)
