@@ -163,6 +163,15 @@ def test_what_cannot_be_used_is_told_in_a_line(methods, says):
     assert len(str(told.value).splitlines()) == 1
 
 
+def secret(env):
+    raise RuntimeError("not for you")
+
+
+@pytest.mark.parametrize("model", [property(secret), "a text", None])
+def test_what_is_no_model_of_mujoco_is_no_simulator_to_foresee(model):
+    assert make_worlds(changed(model=model), 1).foresight == ()
+
+
 def test_an_environment_without_seeds_is_refused():
     with pytest.raises(ConfigurationError, match=r"Changed.reset takes no seed"):
         returns(changed(reset=lambda env: (np.zeros(1), {})))

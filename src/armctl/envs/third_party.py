@@ -4,6 +4,7 @@ Episode k of seed s starts with `reset(seed=episode_seed(s, k))`. Success is `in
 of an episode's last step, or a return of at least `success_return`; without either, it is unknown.
 """
 
+import contextlib
 import inspect
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -254,7 +255,9 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         return Imagined(self.worlds[world].unwrapped)
 
     def _nominal_model(self, world: int) -> Any:
-        model = getattr(self.worlds[world].unwrapped, "model", None)
+        model = None
+        with contextlib.suppress(*FAILURES):  # whatever an environment of others calls its model
+            model = self.worlds[world].unwrapped.model  # type: ignore[attr-defined]
         return model if isinstance(model, mujoco.MjModel) else None
 
     @property
