@@ -157,9 +157,9 @@ class PreparedReachIk(ReachIk):
         self._belief.reset()
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Return the joint positions (dof,) to move to, for an observation: end-effector, joints and target."""
+        """Return joint positions (dof,) to move to, for an observation: end-effector, joints, target, and others."""
         belief, dof = self._belief, self._search.model.dof
-        belief.read(*np.split(observation.astype(float), (3, 3 + dof)))
+        belief.read(*np.split(observation.astype(float), (3, 3 + dof, 6 + dof))[:3])
         self._target = belief.target
         if self._steps_to_plan == 0:
             self._plan(belief.commanded)
@@ -198,10 +198,9 @@ class PreparedReachIkTracking(ReachIkTracking):
         self._patience = 0
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Return joint positions (dof,) to move to, for an observation, whose last part is the target's velocity."""
+        """Return joint positions (dof,) to move to, for an observation, which has the target's velocity."""
         belief, model = self._belief, self._search.model
-        tip, q, target, velocity = np.split(observation.astype(float), (3, 3 + model.dof, 6 + model.dof))
-        belief.read(tip, q, target, velocity)
+        belief.read(*np.split(observation.astype(float), (3, 3 + model.dof, 6 + model.dof, 9 + model.dof))[:4])
         start = belief.commanded
         if self._is_lost():
             self._choose(start)

@@ -75,3 +75,20 @@ def test_it_reaches_with_noisy_readings_and_links_of_other_lengths(disturbances,
         "reach_ik", episodes=sized(30, 200), seed=0, worlds=30, env_options=options, lower_bound_steps=False
     )
     assert results.success.mean() >= success
+
+
+@pytest.mark.parametrize("prepared", [True, False])
+@pytest.mark.parametrize(
+    ("env", "options"),
+    [
+        ("armctl/ArmReachObstacles-v0", {}), ("armctl/ArmReachMoving-v0", {}), (REACH, {"control": "velocity"}),
+        (REACH, {"observation": "full"}), ("armctl/ArmReachMoving-v0", {"observation": "full"}),
+    ],
+)  # fmt: skip
+def test_it_plays_every_task_that_it_is_made_for(env, options, prepared):
+    results = evaluate(
+        f"reach_ik:prepared={str(prepared).lower()}",
+        env, episodes=3, seed=1, worlds=3, env_options=options, lower_bound_steps=False,
+    )  # fmt: skip
+    assert not (results.outcome == "error").any()
+    assert results.success.sum() >= 2 or "Obstacles" in env  # it ignores boxes
