@@ -55,7 +55,7 @@ MOVING = ReachMppiOptions(
     sampling=SamplingOptions(samples=256, horizon=8, knots=3, noise=0.1, finest=0.03, temperature=0.2, iterations=2),
     costs=ReachCosts(distance=20.0),
 )
-"""Less far ahead, since a moving target is predicted by its velocity only, and more finely."""
+"""Less far ahead, since a moving target is predicted by its velocity and acceleration only, and more finely."""
 
 
 @made_for("armctl/ArmReach*", controls="arms: position")
@@ -95,6 +95,7 @@ class ReachMppi:
     def reset(self) -> None:
         """Forget the plan, and the own commands."""
         self._drives: tuple[Array, Array] | None = None
+        self._target_velocity: Array | None = None
         self._cost, self._boxes, self._way = np.inf, NO_BOXES, np.zeros((0, self._model.dof))
 
     def plans(self) -> dict[str, Array]:
@@ -111,11 +112,17 @@ class ReachMppi:
             self._rollouts.surround(self._boxes)
         position, velocity = self._driven(q)
         guesses = self._guesses(position, target) if self._cost >= len(self._ahead) else NO_GUESSES
-        targets = target + self._ahead * (extra[:3] if self._moving else np.zeros(3))
+        targets = self._predicted(target, extra[:3] if self._moving else np.zeros(3))
         plan = self._mpc.plan(ArmState(position, velocity, targets, self._way), self._rng, guesses)
         command = np.asarray(plan.actions[0])
         self._drives, self._cost = follow(self._model.limits, position, velocity, command, CONTROL_PERIOD), plan.cost
         return command
+
+    def _predicted(self, target: Array, velocity: Array) -> Array:
+        """Return target positions (horizon, 3), with the acceleration since the last control step."""
+        last, self._target_velocity = self._target_velocity, velocity
+        acceleration = np.zeros(3) if last is None else (velocity - last) / CONTROL_PERIOD
+        return target + self._ahead * velocity + self._ahead**2 / 2 * acceleration
 
     def _driven(self, q: Array) -> tuple[Array, Array]:
         """Return position and velocity (dof,) of the drives: those that follow own commands, unless `q` is far off."""
