@@ -44,18 +44,18 @@ class DepthCamera:
     @functools.cached_property
     def directions(self) -> Array:
         """(width, 2) unit vectors, ahead and left, of the columns at the horizon."""
-        bearings = np.arctan2(self._sideways, 1 / math.cos(self.pitch))
+        bearings = np.arctan2(self.sideways, 1 / math.cos(self.pitch))
         return np.column_stack((np.cos(bearings), np.sin(bearings)))
 
     def ranges(self, depths: ArrayLike) -> Array:
         """Return horizontal distances (width,) m from the camera, at most `farthest`, for depths (height, width) m."""
         depths = np.asarray(depths, dtype=float)
-        up = self._up[:, None]
+        up = self.up[:, None]
         tangent, lowest = self._tangent_of_pitch(depths)
         cos = 1 / math.sqrt(1 + tangent * tangent)
         sin = tangent * cos
-        camera_height = lowest * (sin - float(self._up[self._deck_rows[0]]) * cos)
-        rise, reach = up * cos - sin, np.hypot(cos + up * sin, self._sideways)
+        camera_height = lowest * (sin - float(self.up[self._deck_rows[0]]) * cos)
+        rise, reach = up * cos - sin, np.hypot(cos + up * sin, self.sideways)
         heights = camera_height + rise * depths
         is_obstacle = (heights > OBSTACLE_HEIGHTS[0]) & (heights < OBSTACLE_HEIGHTS[1])
         is_hole = (heights < HOLE_HEIGHT) & (rise < MAX_RISE)
@@ -65,7 +65,7 @@ class DepthCamera:
 
     def _tangent_of_pitch(self, depths: Array) -> tuple[float, float]:
         """Return the tangent of the present pitch, and the depth (m) of the deck in the lowest of `DECK_ROWS`."""
-        (first, second), up = self._deck_rows, self._up
+        (first, second), up = self._deck_rows, self.up
         lower, upper = float(depths[first].max()), float(depths[second].max())
         tangent = (upper * up[second] - lower * up[first]) / max(upper - lower, 0.02)
         return float(np.clip(tangent, math.tan(self.pitch - MAX_NOD), math.tan(self.pitch + MAX_NOD))), lower
@@ -76,13 +76,16 @@ class DepthCamera:
         return first, second
 
     @functools.cached_property
-    def _pixel(self) -> float:
+    def pixel(self) -> float:
+        """Width of a pixel at a depth of 1."""
         return 2 * math.tan(math.radians(self.field_of_view) / 2) / self.width
 
     @functools.cached_property
-    def _up(self) -> Array:
-        return np.asarray((self.height / 2 - np.arange(self.height) - 0.5) * self._pixel)
+    def up(self) -> Array:
+        """(height,) offsets of the rows' rays upwards at a depth of 1."""
+        return np.asarray((self.height / 2 - np.arange(self.height) - 0.5) * self.pixel)
 
     @functools.cached_property
-    def _sideways(self) -> Array:
-        return np.asarray((self.width / 2 - np.arange(self.width) - 0.5) * self._pixel)
+    def sideways(self) -> Array:
+        """(width,) offsets of the columns' rays to the left at a depth of 1."""
+        return np.asarray((self.width / 2 - np.arange(self.width) - 0.5) * self.pixel)
