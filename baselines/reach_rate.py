@@ -1,9 +1,10 @@
-"""The resolved-rate floor: the tip moves straight to the target, by damped least squares (Whitney 1969, Wampler 1986).
+"""The resolved-rate floor: the tip moves to the target by damped least squares (Whitney 1969, Wampler 1986).
 
-    v = speed-limited gain (target - tip) + target's velocity        qd = J' (J J' + damping^2 I)^-1 v
+    v = speed-limited gain (way to the target) + target's velocity        qd = J' (J J' + damping^2 I)^-1 v
 
-It sees no limits but those of joint velocities, to which all of qd is scaled, no collisions and no singularities, which
-the damping only makes slow. It has no memory, and filters nothing.
+The way leads around the base, where the straight line may lead through it. It sees no limits but those of joint
+velocities, to which all of qd is scaled, no collisions and no singularities, which the damping only makes slow. It has
+no memory, and filters nothing.
 """
 
 from collections.abc import Mapping
@@ -41,7 +42,7 @@ class ReachRateOptions:
 @made_for("armctl/ArmReach*", controls="arms: not torque", interface={"control": "velocity"})
 @sees("model", family="resolved rate")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
-    """Resolved-rate control: the tip straight to the target, by damped least squares; a floor."""
+    """Resolved-rate control: the tip to the target around the base, by damped least squares; a floor."""
     task = checked_options("reach_rate", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, CONTROLS)
     gains = changed_options(ReachRateOptions(), options, "option of reach_rate")
     model, moving = ArmModel(env.robot), "target_velocity" in task.parts
@@ -59,13 +60,13 @@ class ReachRate:
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return the action (dof,) for an observation: positions of end-effector, joints and target, and others."""
-        dof, limits = self._model.dof, self._model.limits
+        model, dof, limits = self._model, self._model.dof, self._model.limits
         tip, q, target, extra = np.split(np.nan_to_num(observation.astype(float)), (3, 3 + dof, 6 + dof))
-        velocity = self._gains.gain * (target - tip)
+        velocity = self._gains.gain * (way_around(tip, target) if model.base_yaw_is_vertical else target - tip)
         velocity *= min(1.0, self._gains.speed / max(float(np.linalg.norm(velocity)), 1e-9))
         if self._moving:
             velocity = velocity + extra[:3]
-        speeds = damped_step(self._model.jacobian(q)[:3], velocity, self._gains.damping**2)
+        speeds = damped_step(model.jacobian(q)[:3], velocity, self._gains.damping**2)
         speeds = speeds / max(1.0, float(np.abs(speeds / limits.velocity).max()))
         if self._control == "velocity":
             return speeds
@@ -74,3 +75,11 @@ class ReachRate:
         braking = speeds * np.abs(speeds) / (2 * limits.acceleration)  # drives stop at what is commanded
         ahead = CONTROL_PERIOD * speeds + braking
         return ahead if self._control == "relative" else np.clip(q + ahead, limits.lower, limits.upper)
+
+
+def way_around(tip: Array, target: Array) -> Array:
+    """Return the direction from tip to target around the vertical through the base, as long as the way, (3,) m."""
+    start, end = complex(*tip[:2]), complex(*target[:2])
+    outwards = start / abs(start) if start else 1.0
+    way = outwards * (abs(end) - abs(start) + 1j * abs(start) * np.angle(end / outwards))
+    return np.array((way.real, way.imag, target[2] - tip[2]))
