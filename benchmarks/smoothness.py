@@ -19,7 +19,7 @@ from armctl.rollout import evaluate
 from armctl.tasks.reach import CONTROL_PERIOD
 
 REACH, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachObstacles-v0"
-PLAYED = (
+LINE_UP = (
     (REACH, "reach_ik", "position"), (REACH, "reach_mpc", "position"), (REACH, "reach_ruckig", "velocity"),
     (REACH, "reach_ruckig", "position"), (REACH, "reach_ruckig:acceleration=0.5", "velocity"),
     (REACH, "reach_rate", "velocity"), (REACH, "reach_impedance", "torque"), (REACH, "reach_ppo", "relative"),
@@ -40,24 +40,24 @@ def main(episodes: int = 200, seed: int = 4043) -> None:
         "task", "policy", "control", "success", "time, s", "joints' jerk: largest, rad/s^3", "rms",
         "tip's jerk: largest, m/s^3", "rms", "log dimensionless jerk",
     )  # fmt: skip
-    for env, policy, control in progress(PLAYED):
-        played = evaluate(
+    for env, policy, control in progress(LINE_UP):
+        results = evaluate(
             policy, env, episodes=episodes, seed=seed, worlds=20, env_options={"control": control},
             lower_bound_steps=False,
         )  # fmt: skip
-        won = played[played.success]
+        won = results[results.success]
         numbers = (f"{won[name].mean():,.0f}" for name in JERKS)
         time, smoothness = f"{CONTROL_PERIOD * won.length.mean():.3f}", f"{won.smoothness.mean():.2f}"
         name = env.removeprefix("armctl/").removesuffix("-v0")
-        table.add_row(name, f"`{policy}`", control, f"{played.success.mean():.1%}", time, *numbers, smoothness)
+        table.add_row(name, f"`{policy}`", control, f"{results.success.mean():.1%}", time, *numbers, smoothness)
     times, optima, jerk = jerk_limited_reaches(episodes, seed)
     reached = np.isfinite(times)
     optimum = markdown_table(
         "`reach_ruckig`", "time, s", "jerk-limited optimum, s", "over it", "largest commanded jerk, rad/s^3"
     )
-    mean, least = times[reached].mean(), optima[reached].mean()
+    mean, best = times[reached].mean(), optima[reached].mean()
     reaches = f"{reached.sum()} of {episodes} reached"
-    optimum.add_row(reaches, f"{mean:.4f}", f"{least:.4f}", f"{mean / least - 1:.2%}", f"{jerk:.1f}")
+    optimum.add_row(reaches, f"{mean:.4f}", f"{best:.4f}", f"{mean / best - 1:.2%}", f"{jerk:.1f}")
     show(table, optimum, width=200)
 
 
