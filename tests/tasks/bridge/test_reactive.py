@@ -65,7 +65,7 @@ def test_they_step_aside_and_return_to_their_line():
     places = walk(people, 7, (0.0, -0.5, 0.0))
     assert places[..., 0].max() > 1
     assert 0.1 < places[..., 1].max() <= MAX_ASIDE
-    later = walk(people, 10, (50.0, 0.0, 0.0))
+    later = walk(people, 20, (50.0, 0.0, 0.0))
     assert abs(later[-1, 0, 0, 1]) < 0.01
 
 

@@ -1,7 +1,8 @@
 """Pedestrians who give way: a social force changes how they walk their lines, in all worlds at once.
 
-Helbing and Molnar: Social force model for pedestrian dynamics, Physical Review E 51, 1995, with their constants. The
-velocity of a pedestrian differs by w from the one, u, with which it walks its line:
+Helbing and Molnar: Social force model for pedestrian dynamics, Physical Review E 51, 1995, with the constants for
+bodies that have a size of Helbing, Farkas and Vicsek: Simulating dynamical features of escape panic, Nature 407, 2000
+(2000 N for 80 kg). The velocity of a pedestrian differs by w from the one, u, with which it walks its line:
 
     dw/dt = -w / T - sum of grad V(b),   V(b) = A B exp(-(b - r) / B)
 
@@ -29,19 +30,19 @@ from armctl.tasks.task import Ids
 
 RELAXATION = 0.5
 """s: time T in which a pedestrian returns to its usual velocity."""
-STRENGTH, REACH = 7.0, 0.3
+STRENGTH, REACH = 25.0, 0.08
 """m/s^2 and m: A and B."""
 STRIDE = 2.0
 """s for which others are expected to go on as they do."""
 IN_SIGHT, BEHIND = float(np.cos(np.radians(100.0))), 0.5
 """Cosine of the largest angle from the direction of walking at which others are seen, and the weight of others."""
-RETURN_TIME = 1.5
-"""s in which a pedestrian returns from beside its line."""
-MAX_ASIDE = 0.5
+RETURN_TIME = 3.0
+"""s in which a pedestrian returns from beside its line: `MAX_ASIDE` by it is less than the slowest walk."""
+MAX_ASIDE = 0.8
 """m beside a line: layouts leave more room to blocks there."""
 PERSONAL_SPACE = 0.05
 """m between a pedestrian and the rover's turning disc."""
-FAR = 2.0
+FAR = 1.0
 """m of b - r from which on others do not count."""
 MAX_FORCE = 20.0
 """m/s^2."""
