@@ -2,7 +2,7 @@
 
 Points that stand out of the deck are obstacles, and where the camera sees far below the deck there is a hole. A rover
 nods when it speeds up or brakes, so the camera's pitch is estimated first, from two rows of the image that show the
-deck before the wheels. `armctl.rl.networks.bridge_ranges` has the same as a part of networks.
+deck before the wheels.
 """
 
 import functools
