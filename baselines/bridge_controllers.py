@@ -28,6 +28,8 @@ LIMIT_SHARE = 0.8
 PROBED_ACCELERATION, PROBE = 4.1, np.array((1.0, 1.0, 1.0, -1.0, -1.0, -1.0))
 """m/s^2, below which a rover's turn rate is tried, and the commands for that, rad/s: a load and weak motors hardly let
 it turn, slippery wheels do."""
+WEAK_TURN_RATE = 1.0
+"""rad/s: the largest turn rate of a weak rover is less."""
 MAP_TOLERANCE = 0.06
 """m or rad: changes of a map with noise for which another path is planned."""
 EXTRA_MARGIN = 0.05
@@ -95,13 +97,15 @@ def map_distance(first: BridgeMap, second: BridgeMap) -> float:
 def limits_of(response: DriveResponse, world: int, noisy: bool) -> DriveLimits:
     """Return what a rover of this response may do: weak and slippery ones drive slowly."""
     (linear, angular), turn_rate = response.acceleration[world].tolist(), float(response.speed[world, 1])
+    if linear >= PROBED_ACCELERATION:
+        linear = MAX_ACCELERATION / LIMIT_SHARE
     speed = min(FASTEST_PER_ACCELERATION * linear, FASTEST_PER_TURN_RATE * turn_rate)
     return DriveLimits(
         max_speed=float(np.clip(speed, SLOWEST, MAX_VELOCITY[0])),
         max_turn_rate=min(MAX_TURN_RATE, turn_rate, FASTEST_TURN_PER_ACCELERATION * linear),
         max_acceleration=min(MAX_ACCELERATION, LIMIT_SHARE * linear),
         max_turn_acceleration=min(MAX_TURN_ACCELERATION, LIMIT_SHARE * angular),
-        margin=EXTRA_MARGIN if noisy or linear < PROBED_ACCELERATION else 0.0,
+        margin=EXTRA_MARGIN if noisy or linear < PROBED_ACCELERATION or turn_rate < WEAK_TURN_RATE else 0.0,
     )
 
 
@@ -177,7 +181,8 @@ class BridgePolicy:
             if controller:
                 controller.limit(limits_of(observer.response, i, noisy))
                 velocities[i] = controller.act(ahead[i, :3], ahead[i, 3:], times[i])
-        weak = (observer.response.acceleration[:, 0] < PROBED_ACCELERATION) & (self._probes < len(PROBE))
+        weak = (observer.response.acceleration[:, 0] < PROBED_ACCELERATION) | (self._probes > 0)
+        weak &= self._probes < len(PROBE)
         velocities[weak, 1] = PROBE[self._probes[weak]]
         self._probes[weak] += 1
         return observer.command(velocities)

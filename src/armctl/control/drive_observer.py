@@ -72,11 +72,11 @@ class DriveObserverOptions:
     """Share of the aim that is missing in a stall."""
     stall_drop: Share = 0.1
     """Share that remains of a largest velocity when a stall is seen, or more."""
-    min_change: Share = 0.1
+    min_change: Share = 0.05
     """Share of the expected change below which an acceleration is not to be seen."""
     min_acceleration: tuple[Positive, Positive] = (0.7, 1.0)
     """Lowest accelerations, m/s^2 and rad/s^2."""
-    recovery: NonNegative = 0.3
+    recovery: NonNegative = 0.1
     """Growth of a limit in each step in which it is reached."""
     offset_gain: Share = 0.2
     """Share of each deviation that goes into the offsets."""
@@ -91,7 +91,7 @@ class DriveResponse:
 
     def __init__(self, options: DriveObserverOptions, parts: Sequence[Array]) -> None:
         self.options = options
-        self.acceleration, self.speed, self.offset, self._stalled = parts
+        self.acceleration, self.speed, self.offset, self._stalled, self._slow = parts
         """m/s^2 and rad/s^2; largest velocities, m/s and rad/s; what commands need in addition, m/s and rad/s."""
         self._rows = kernel.Response(*(part.reshape(-1, 2) for part in parts))
         fields = (getattr(options, name) for name in kernel.Nominal._fields)
@@ -109,7 +109,7 @@ class DriveResponse:
         """Go back to the nominal response in columns `ids`."""
         self.acceleration[..., ids, :] = self.options.acceleration
         self.speed[..., ids, :] = self.options.max_command
-        self.offset[..., ids, :] = self._stalled[..., ids, :] = 0.0
+        self.offset[..., ids, :] = self._stalled[..., ids, :] = self._slow[..., ids, :] = 0.0
 
     def choose(self, which: NDArray[np.integer], chosen: "DriveResponse") -> None:
         """Write the response of row `which` (n,) in each of n columns into `chosen`."""

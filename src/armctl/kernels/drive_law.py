@@ -44,6 +44,8 @@ class Response(NamedTuple):
     offset: Array
     stalled: Array
     """1 where the last step was a stall, else 0."""
+    slow: Array
+    """1 where the last step was slow, else 0: a push alone is none of the drives' doing."""
 
 
 @compiled
@@ -101,10 +103,12 @@ def learn_channel(nominal, response, place, velocity, command, reply, slow_share
     stalled = direction * command > nominal.stall_command and reply * direction > 0
     stalled = stalled and direction * (aim - reply) > nominal.stall_share * abs(aim)
     stalled = stalled and 0 <= change < nominal.stalled[k] * expected
-    stalled = stalled and response.acceleration[i, k] < nominal.acceleration[k]
+    is_slow = response.acceleration[i, k] < nominal.acceleration[k] or response.slow[i, k] or response.stalled[i, k]
+    stalled = stalled and is_slow
     clear = size >= min(max(0.6 * reach, nominal.clear_gap[0, k]), nominal.clear_gap[1, k])
     slow = short and not stalled and clear and nominal.min_change * expected < change < slow_share * expected
-    if (slow or (size > reach and change > reach)) and not is_excused:
+    slow = slow and not is_excused
+    if (slow and response.slow[i, k]) or (size > reach and change > reach):
         response.acceleration[i, k] += nominal.learning * (change / nominal.period - response.acceleration[i, k])
     elif size > 0.75 * reach and change >= 0.9 * expected:
         response.acceleration[i, k] *= 1 + nominal.recovery
@@ -116,9 +120,9 @@ def learn_channel(nominal, response, place, velocity, command, reply, slow_share
         response.speed[i, k] = max(abs(reply), abs(velocity), nominal.stall_drop * speed)
     else:
         is_full = abs(aim) >= 0.95 * speed and direction * reply >= 0.95 * speed
-        grown = max(speed * (1 + nominal.recovery / 3 if is_full else 1.0), abs(reply))
+        grown = max(speed * (1 + nominal.recovery if is_full else 1.0), abs(reply))
         response.speed[i, k] = min(grown, nominal.max_command[k])
-    response.stalled[i, k] = stalled
+    response.stalled[i, k], response.slow[i, k] = stalled, slow
     if size < reach or change < nominal.min_change * expected:
         offset = response.offset[i, k] - nominal.offset_gain * clipped(deviation, nominal.max_deviation[k])
         response.offset[i, k] = clipped(offset, nominal.max_offset[k])
