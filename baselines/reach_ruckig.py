@@ -23,6 +23,7 @@ from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
+from armctl.kinematics.room import ROOM, with_room
 from armctl.policies import PerWorld, made_for, sees
 from armctl.robot_description.joint_profiles import fly_by_setpoint
 from armctl.tasks import OBSERVATION, ReachOptions
@@ -137,7 +138,8 @@ class ReachRuckig:
         self._aim = self._target - self._tip_offset
         radius = MARGIN * self._tolerance / (1 if self._moving else self._choices)
         start, search = motion.position + self._correction, self._search
-        early = search.candidates(start, self._aim, radius)
+        posture = with_room(search.ik, self._aim, start, ROOM) if self._moving else None
+        early = search.candidates(start, self._aim, radius) if posture is None else posture[None]
         entry = self._earliest(motion, early, radius)
         if entry is None:
             entry = self._earliest(motion, search.at_centre(start, self._aim), radius)

@@ -18,13 +18,13 @@ from armctl.robot_description.joint_profiles import TICK, fly_by_setpoint
 from armctl.rollout import evaluate
 from armctl.tasks.reach import CONTROL_PERIOD
 
-REACH, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachObstacles-v0"
+REACH, MOVING, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
 LINE_UP = (
     (REACH, "reach_ik", "position"), (REACH, "reach_mpc", "position"), (REACH, "reach_ruckig", "velocity"),
     (REACH, "reach_ruckig", "position"), (REACH, "reach_ruckig:acceleration=0.5", "velocity"),
     (REACH, "reach_rate", "velocity"), (REACH, "reach_impedance", "torque"), (REACH, "reach_ppo", "relative"),
-    (OBSTACLES, "reach_ompl", "position"), (OBSTACLES, "reach_ompl:jerk_limited=true", "velocity"),
-    (OBSTACLES, "reach_ompl:jerk_limited=true", "position"),
+    (MOVING, "reach_ik", "position"), (MOVING, "reach_ruckig", "velocity"), (OBSTACLES, "reach_ompl", "position"),
+    (OBSTACLES, "reach_ompl:jerk_limited=true", "velocity"), (OBSTACLES, "reach_ompl:jerk_limited=true", "position"),
 )  # fmt: skip
 """Environments, policies and controls."""
 JERKS = ("joint_jerk_max", "joint_jerk_rms", "tip_jerk_max", "tip_jerk_rms")
