@@ -65,6 +65,8 @@ def actions_before_the_change(name, env, change=lambda time: None):
 
 
 SHIPPED = [(env, name) for env in (MOVING, BRIDGE) for name in made_for(env)]
+DELIBERATE = {"reach_mppi", "bridge_mppi", "bridge_lidar_ompl"}
+"""Policies whose decisions take so long that their tests are slow ones."""
 
 
 def test_there_are_shipped_policies_of_both_kinds():
@@ -78,7 +80,10 @@ def test_there_are_shipped_policies_of_both_kinds():
     }
 
 
-@pytest.mark.parametrize(("env", "name"), SHIPPED, ids=[name for _, name in SHIPPED])
+@pytest.mark.parametrize(
+    ("env", "name"),
+    [pytest.param(env, name, marks=[pytest.mark.slow] * (name in DELIBERATE), id=name) for env, name in SHIPPED],
+)
 def test_only_who_declares_foresight_depends_on_the_future(env, name, monkeypatch):
     with closing(WorldsByInterface(env, 1)) as interfaces:
         foresight = getattr(make_policy(name, interfaces.of(name)), "foresight", ())
