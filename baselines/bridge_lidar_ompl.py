@@ -71,11 +71,11 @@ SHOWN_HEIGHT = 0.05
 class BridgeLidarOmplOptions:
     """Options of `bridge_lidar_ompl`."""
 
-    max_speed: Positive = 2.0
+    max_speed: Positive = 1.7
     """m/s."""
     acceleration: Positive = 4.0
     """m/s^2."""
-    margin: NonNegative = 0.06
+    margin: NonNegative = 0.08
     """m: distance between the rover and obstacles."""
     people_margin: NonNegative = 0.15
     """m: distance between the rover and people."""
