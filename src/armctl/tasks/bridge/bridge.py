@@ -98,6 +98,7 @@ class BridgeTask(Task):
         self._see = self._make_camera()
         worlds = np.arange(n, dtype=np.int32)
         self._people = make_pedestrians(n, options)
+        self._pedestrians = self._people.lines
         self._layouts: list[Layout] = [self._sample_episode(np.random.default_rng(0))] * n
         self._blocks = np.zeros((n, options.blocks, 5))
         self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
@@ -198,7 +199,7 @@ class BridgeTask(Task):
         self._furniture.place(ids, layouts)
         self.rover.place(ids, layouts)
         for name in ("start", "end", "speed", "phase"):
-            getattr(self._people.lines, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
+            getattr(self._pedestrians, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
 
     def _begin(self, ids: Ids) -> None:
         self._time[ids] = 0.0
