@@ -122,7 +122,8 @@ def test_no_readings_harm_and_resets_forget(moving):
     values = [np.nan, np.inf, 1e6, 0.0, -3.0]
     velocity = np.zeros(3) if moving else None
     for _ in range(100):
-        observer.read(*(rng.choice(values, size) for size in (3, 6, 3)), velocity)
+        tip, joints, target = (rng.choice(values, size) for size in (3, 6, 3))
+        observer.read(tip, joints, target, velocity)
         observer.send(MODEL.home + rng.normal(size=6))
         believed = (observer.joints, observer.tip, observer.target, observer.commanded, observer.load_offset)
         assert all(np.isfinite(each).all() for each in believed)

@@ -1,5 +1,7 @@
 """What stands in depth images, against the truth of the simulation."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ def scanner():
 @pytest.fixture(scope="module")
 def drive():
     """Poses, pitches, maps and images of drives on two bridges with people, in which the rover speeds up and brakes."""
-    env = gymnasium.make_vec("armctl/BridgeCrossMoving-v0", num_envs=2, autoreset_mode="disabled")
+    env: Any = gymnasium.make_vec("armctl/BridgeCrossMoving-v0", num_envs=2, autoreset_mode="disabled")
     observations, _ = env.reset(seed=103)
     task, records = env.unwrapped.task, []
     rotations = task.simulation.array("cam_xmat")[:, task.simulation.model.camera(CAMERA).id]

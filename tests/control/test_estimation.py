@@ -102,11 +102,10 @@ def test_models_of_several_axes_are_those_of_one_each():
     for name in ("transition", "process_noise"):
         one = getattr(single, name)
         np.testing.assert_allclose(getattr(double, name)[np.ix_(order, order)], block_diag(one, one))
-    np.testing.assert_allclose(single.transition, [[1, 0.1], [0, 1]])
+    np.testing.assert_allclose(single.transition, np.array([[1, 0.1], [0, 1]]))
     np.testing.assert_allclose(single.process_noise, 4.0 * np.outer([0.005, 0.1], [0.005, 0.1]))
-    np.testing.assert_allclose(
-        constant_acceleration(1, 0.1, 1.0, 1.0).transition, [[1, 0.1, 0.005], [0, 1, 0.1], [0, 0, 1]]
-    )
+    third = np.array([[1, 0.1, 0.005], [0, 1, 0.1], [0, 0, 1]])
+    np.testing.assert_allclose(constant_acceleration(1, 0.1, 1.0, 1.0).transition, third)
 
 
 def test_errors_are_as_large_as_their_covariances_say():
