@@ -45,8 +45,7 @@ class Imagined:
         values = self._attributes.values()
         self._kept = [value for value in values if isinstance(value, (mujoco.MjModel, mujoco.MjData, *SHARED))]
         self._model = next((value for value in values if isinstance(value, mujoco.MjModel)), None)
-        datas = (value for value in values if isinstance(value, mujoco.MjData))
-        self._datas = [(data, copy.copy(data)) for data in datas]
+        self._states = [(value, copy.copy(value)) for value in values if isinstance(value, mujoco.MjData)]
 
     def returns(self, actions: Array) -> Array:
         """Return the sums of rewards (n,) of action sequences (n, horizon, ...) from the present state.
@@ -65,7 +64,7 @@ class Imagined:
 
     def _restore(self) -> None:
         """Return to the present state."""
-        for data, saved in self._datas:
+        for data, saved in self._states:
             mujoco.mj_copyData(data, self._model, saved)
         changing = {name: value for name, value in self._attributes.items() if not isinstance(value, FIXED)}
         vars(self._env).clear()
