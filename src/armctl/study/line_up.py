@@ -1,14 +1,15 @@
 """Line-up of a suite: the policies of each task, and its disturbances."""
 
+import fnmatch
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
 from armctl.agents import read_card
 from armctl.core.errors import ArmctlError
-from armctl.core.registration import bare_id
-from armctl.envs import task_of
-from armctl.policies import UNSKILLED, WorldsByInterface, agent_cards, make_policy, policy_names
+from armctl.core.registration import bare_id, load_installed
+from armctl.envs import ThirdPartyVectorEnv, task_of
+from armctl.policies import GROUP, UNSKILLED, WorldsByInterface, agent_cards, make_policy, policy_names
 from armctl.study.levels import sweep_levels
 
 
@@ -65,7 +66,13 @@ def line_up(env: str, one_of_each_kind: bool = False) -> tuple[str, ...]:
 
 
 def _fits(name: str, env: str, worlds: WorldsByInterface) -> bool:
-    """Return True if an installed policy can act in an environment and, if it is an agent, was made for it."""
+    """Return True if an installed policy can act in an environment and, if it is an agent, was made for it.
+
+    In an environment of others, also if it is an expert.
+    """
+    envs, *_ = getattr(load_installed(GROUP, name, "policy"), "made_for", ("*",))
+    if isinstance(worlds.requested, ThirdPartyVectorEnv) and not fnmatch.fnmatchcase(env, envs):
+        return False
     try:
         card = getattr(make_policy(name, worlds.of(name)), "card", None)
     except ArmctlError:
