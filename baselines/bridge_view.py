@@ -1,4 +1,4 @@
-"""What a rover knows from its depth camera, wheels and gyro alone: its pose by dead reckoning, and obstacles ahead."""
+"""Dead reckoning and obstacles ahead, from a depth camera, wheels and gyro alone."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What the controller of an arm believes: joints, links' lengths, target and delay, from noisy readings.
+"""Beliefs of an arm's controller: joints, links' lengths, target and delay, from noisy readings.
 
 - Joints move as their drives do (`armctl.robot_description.joint_profiles`), whose commands are known; a Kalman filter
   corrects that by the readings. What remains between joints and drives is the load's: a slow disturbance, as in

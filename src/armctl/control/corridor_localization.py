@@ -1,4 +1,4 @@
-"""Where a robot is between two parallel walls: dead reckoning, corrected by what it sees of the walls.
+"""Pose of a robot between two parallel walls: dead reckoning, corrected by what it sees of the walls.
 
 An extended Kalman filter of the pose. Odometry predicts it; the points that are seen near a wall correct heading and
 lateral position. Along the walls there is nothing to correct by, so that the error of the odometry remains.

@@ -1,4 +1,4 @@
-"""What stands on a floor in a depth image: how far it is in each column, and what is taller than the obstacles.
+"""Things that stand on a floor in a depth image: their distance in each column, and which are taller than obstacles.
 
 All that stands is taken for vertical, as a stixel is (Badino, Franke and Pfeiffer, The stixel world, DAGM 2009). The
 median over the rows about the horizon suppresses noise. The camera nods when the robot accelerates; the nod is the
@@ -47,7 +47,7 @@ class CameraMount:
 
 @dataclass(frozen=True, eq=False)
 class DepthScan:
-    """What a depth image shows in each of its columns, in the robot's frame: x ahead, y left, m."""
+    """Content of a depth image in each of its columns, in the robot's frame: x ahead, y left, m."""
 
     standing: Array
     """(width, 2): point of the nearest obstacle or person at the camera's height; NaN if there is none."""
