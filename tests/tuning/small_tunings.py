@@ -5,7 +5,7 @@ from armctl.tuning import candidate_of
 RECIPE = """
 learner = "bc"
 env = "armctl/ArmReach-v0"
-teacher = "reach_ik"
+teacher = "reach_ik:prepared=false"
 
 [options]
 demonstrations = 4

@@ -272,7 +272,7 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path):
     [
         ("reach_mcp", {}, "Did you mean 'reach_mpc'"),
         ("reach_bc", {}, "no search space"),
-        ("reach_ik", {}, "There are: .*reach_mpc"),
+        ("random", {}, "There are: .*reach_mpc"),
         ("nowhere.toml", {}, "cannot be read"),
         ("reach_mpc", {"score": "sucess"}, "Did you mean 'success'"),
         ("reach_mpc", {"episodes": 0}, "at least one of its episodes"),

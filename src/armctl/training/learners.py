@@ -21,6 +21,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.files import checked_name, read_toml
 from armctl.core.options import checked_model, make_options
 from armctl.core.registration import check_named, files_within, installed, load_installed
+from armctl.policies.configuration import is_code
 
 LEARNERS, RECIPES, EXPORTERS = "armctl.learners", "armctl.recipes", "armctl.exporters"
 
@@ -196,8 +197,9 @@ def load_recipe(name: str | Path, env: str | None = None, teacher: str | None = 
         recipe = _read(Path(name), Path(name).stem)
         if env is None:
             check_named(recipe.env, f"the recipe {name}", "--env")
-        if teacher is None and recipe.teacher is not None and Path(recipe.teacher).suffix not in FILES:
-            check_named(recipe.teacher, f"the recipe {name}", "--teacher")
+        taught_by = recipe.teacher if teacher is None else None
+        if taught_by is not None and Path(taught_by).suffix not in FILES and is_code(taught_by):
+            check_named(taught_by, f"the recipe {name}", "--teacher")
     elif str(name) in installed:
         recipe = _read(installed[str(name)], str(name))
     elif name in learner_names():
