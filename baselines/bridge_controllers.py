@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control.arc_path import ArcPath
-from armctl.control.drive_nlp import DriveLimits
+from armctl.control.drive_limits import DriveLimits
 from armctl.control.drive_observer import DriveObserver, DriveResponse
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError

@@ -20,8 +20,8 @@ from armctl.baselines.bridge_controllers import (
     map_distance,
     path_from,
 )
+from armctl.control.drive_limits import DriveLimits
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
-from armctl.control.drive_nlp import DriveLimits
 from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options

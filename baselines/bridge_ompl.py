@@ -24,7 +24,7 @@ from armctl.baselines.bridge_controllers import (
     path_from,
 )
 from armctl.control import PursuitOptions, RegulatedPurePursuit
-from armctl.control.drive_nlp import DriveLimits
+from armctl.control.drive_limits import DriveLimits
 from armctl.core.arrays import Array
 from armctl.core.options import NonNegative, Positive, changed_options, options
 from armctl.envs import TaskVectorEnv

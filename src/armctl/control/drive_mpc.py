@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.arc_path import ArcPath
-from armctl.control.drive_nlp import CONTROLS, STATES, DriveLimits, DriveMpcOptions, DriveSolver, Solution, drive_nlp
+from armctl.control.drive_limits import DriveLimits
+from armctl.control.drive_nlp import CONTROLS, STATES, DriveMpcOptions, DriveSolver, Solution, drive_nlp
 from armctl.core.arrays import Array, checked_array
 from armctl.kernels import drive_mpc as kernel
 

@@ -24,6 +24,7 @@ import casadi
 import numpy as np
 from pydantic import Field
 
+from armctl.control.drive_limits import DriveLimits
 from armctl.core.arrays import Array
 from armctl.core.options import NonNegative, Positive, options
 
@@ -80,22 +81,6 @@ class DriveMpcOptions:
     """Solver iterations for a plan, which bounds its time."""
     max_search_iterations: Annotated[int, Field(ge=0)] = 16
     """Solver iterations for a second plan; the search goes on in the next control step."""
-
-
-@dataclass(frozen=True)
-class DriveLimits:
-    """Limits that can change from one control step to the next, below those of `DriveMpcOptions`."""
-
-    max_speed: float
-    """m/s."""
-    max_turn_rate: float
-    """rad/s."""
-    max_acceleration: float
-    """m/s^2."""
-    max_turn_acceleration: float
-    """rad/s^2."""
-    margin: float = 0.0
-    """m: added to the distance from static obstacles."""
 
 
 @dataclass(frozen=True, eq=False)
