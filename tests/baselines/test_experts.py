@@ -94,13 +94,13 @@ def test_experts_follow_a_moving_target(policy, error, sized):
     assert results.tracking_error.mean() < error
 
 
-def test_reach_ik_follows_by_what_it_observes_alone():
+def test_unprepared_reach_ik_follows_by_what_it_observes_alone():
     worlds = make_worlds("armctl/ArmReachMoving-v0", 3)
     observations, _ = worlds.reset(seed=0)
-    played = make_policy("reach_ik", worlds)
+    played = make_policy("reach_ik:prepared=false", worlds)
     for _ in range(40):
         actions = played.act(observations)
-        fresh = make_policy("reach_ik", worlds)
+        fresh = make_policy("reach_ik:prepared=false", worlds)
         fresh.reset(np.arange(3, dtype=np.int32))
         np.testing.assert_array_equal(fresh.act(observations), actions)
         observations, *_ = worlds.step(actions)
