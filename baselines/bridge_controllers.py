@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from armctl.control.arc_path import ArcPath
 from armctl.control.drive_limits import DriveLimits
-from armctl.control.drive_observer import DriveObserver, DriveResponse
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.envs import Sees, TaskVectorEnv
+from armctl.estimation.drive_observer import DriveObserver, DriveResponse
 from armctl.planning import PathPlannerOptions, plan_path
 from armctl.robots.rover import MAX_VELOCITY
 from armctl.scene import BridgeMap

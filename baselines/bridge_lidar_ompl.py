@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from armctl.baselines.bridge_controllers import limits_of
 from armctl.control.arc_path import ArcPath
-from armctl.control.corridor_localization import Corridor, CorridorLocalization
-from armctl.control.depth_ranges import DepthCamera
-from armctl.control.depth_scan import CameraMount, DepthScan, DepthScanner
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
-from armctl.control.drive_observer import DriveObserver
-from armctl.control.occupancy_grid import OccupancyGrid
-from armctl.control.tracking import PeopleTracker, TrackerOptions
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, NonNegative, Positive, changed_options, options
 from armctl.envs import ModelInterface
+from armctl.estimation.corridor_localization import Corridor, CorridorLocalization
+from armctl.estimation.depth_ranges import DepthCamera
+from armctl.estimation.depth_scan import CameraMount, DepthScan, DepthScanner
+from armctl.estimation.drive_observer import DriveObserver
+from armctl.estimation.occupancy_grid import OccupancyGrid
+from armctl.estimation.tracking import PeopleTracker, TrackerOptions
 from armctl.planning.bridge_planner import PathPlannerOptions, plan_path
 from armctl.policies import PerWorld, made_for, sees
 from armctl.robots.rover import (

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from armctl.control.depth_ranges import DepthCamera
 from armctl.core.errors import ConfigurationError
 from armctl.envs import ModelInterface
+from armctl.estimation.depth_ranges import DepthCamera
 from armctl.robots.rover import CAMERA_AHEAD, CAMERA_PITCH
 from armctl.tasks import BridgeOptions
 from armctl.tasks.bridge import CONTROL_PERIOD

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armctl.baselines.reach_task import checked_options
-from armctl.control.arm_observer import ArmObserver
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
+from armctl.estimation.arm_observer import ArmObserver
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
 from armctl.kinematics.room import ROOM, with_room

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from armctl.baselines.reach_task import checked_options
-from armctl.control.estimation import EstimationOptions, KalmanFilter, constant_acceleration
 from armctl.core.arrays import Array
 from armctl.core.options import Positive, Share, changed_options, options
 from armctl.envs import ModelInterface
+from armctl.estimation.kalman import EstimationOptions, KalmanFilter, constant_acceleration
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
 from armctl.policies import PerWorld, made_for, sees

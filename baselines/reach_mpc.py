@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.baselines.reach_task import checked_options
-from armctl.control.arm_observer import ArmObserver, ArmReadings
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
+from armctl.estimation.arm_observer import ArmObserver, ArmReadings
 from armctl.kinematics import ArmModel, Ik, ReachabilityMap
 from armctl.kinematics.room import ROOM, with_room
 from armctl.policies import PerWorld, made_for, sees

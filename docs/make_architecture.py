@@ -64,6 +64,7 @@ PACKAGES = {
     "environments": Package("registers ids", TRUTH),
     "disturbances": Package("noise, delay, payload, ...", TRUTH, action="d"),
     "planning": Package("paths", BELIEF),
+    "estimation": Package("filters, delays, maps", BELIEF),
     "control": Package("MPC, pursuit", BELIEF),
     "kinematics": Package("FK, IK, clearance", BELIEF),
     "robots": Package("command and sensors", TRUTH, action="f"),

@@ -1,4 +1,4 @@
-"""The arithmetic of `armctl.control.prediction`: errors of a bank of models, and the decision for one of them."""
+"""The arithmetic of `armctl.estimation.delay`: errors of a bank of models, and the decision for one of them."""
 
 import math
 

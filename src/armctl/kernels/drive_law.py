@@ -1,4 +1,4 @@
-"""The arithmetic of `armctl.control.drive_observer`: the law of robots driven by velocity commands, and its learning.
+"""Arithmetic of `armctl.estimation.drive_observer`: the law of robots driven by velocity commands, and its learning.
 
 Velocities, commands and all parameters of a response are rows of two: linear and angular.
 """

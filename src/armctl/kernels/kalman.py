@@ -1,4 +1,4 @@
-"""The arithmetic of `armctl.control.estimation`: n Kalman filters of one linear model, of k states and l readings."""
+"""The arithmetic of `armctl.estimation.kalman`: n Kalman filters of one linear model, of k states and l readings."""
 
 import math
 from typing import NamedTuple

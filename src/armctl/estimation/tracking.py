@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.control.estimation import EstimationOptions, KalmanFilter, constant_velocity
 from armctl.core.arrays import Array
 from armctl.core.options import Positive, options
+from armctl.estimation.kalman import EstimationOptions, KalmanFilter, constant_velocity
 
 SAME_BEARING = 0.998
 """Cosine of the angle between a ray and a person's bearing up to which the ray would meet the person's middle."""

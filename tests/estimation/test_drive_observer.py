@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from armctl.control.drive_observer import NEW_SHARE, DriveObserver, DriveObserverOptions, DriveResponse
+from armctl.estimation.drive_observer import NEW_SHARE, DriveObserver, DriveObserverOptions, DriveResponse
 
 OPTIONS = DriveObserverOptions()
 NOMINAL = (OPTIONS.acceleration, OPTIONS.max_command)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.control.depth_ranges import DepthCamera
 from armctl.core.arrays import Array
+from armctl.estimation.depth_ranges import DepthCamera
 
 HORIZON, FLOOR = 0.2, (-0.6, -0.12)
 """Rises (m per m ahead) of the rows that see what stands, up or down, and of those that see the floor."""

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from armctl.control.corridor_localization import Corridor, CorridorLocalization
+from armctl.estimation.corridor_localization import Corridor, CorridorLocalization
 
 CORRIDOR = Corridor(1.39, lean=0.3, foot=0.1)
 BEARINGS = np.linspace(-0.9, 0.9, 40)

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.control.estimation import EstimationOptions, KalmanFilter, LinearModel
-from armctl.control.prediction import DelayOptions, DelayPredictor
 from armctl.core.arrays import Array
 from armctl.core.options import NonNegative, Positive, Share, options
+from armctl.estimation.delay import DelayOptions, DelayPredictor
+from armctl.estimation.kalman import EstimationOptions, KalmanFilter, LinearModel
 from armctl.kernels import drive_law as kernel
 
 NEW_SHARE = 0.7

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from armctl.control.occupancy_grid import OccupancyGrid, smallest_box
+from armctl.estimation.occupancy_grid import OccupancyGrid, smallest_box
 
 BEARINGS = np.linspace(-0.5, 0.5, 60)
 

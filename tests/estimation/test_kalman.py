@@ -4,14 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, solve_discrete_are
 
-from armctl.control.estimation import (
+from armctl.core.errors import ConfigurationError
+from armctl.estimation.kalman import (
     EstimationOptions,
     KalmanFilter,
     LinearModel,
     constant_acceleration,
     constant_velocity,
 )
-from armctl.core.errors import ConfigurationError
 
 PERIOD = 0.04
 TRACKED = constant_velocity(3, PERIOD, 0.5, 0.02)

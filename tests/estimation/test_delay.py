@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.control.prediction import DelayOptions, DelayPredictor
 from armctl.core.errors import ConfigurationError
+from armctl.estimation.delay import DelayOptions, DelayPredictor
 
 PERIOD, LAG = 0.1, 0.6
 SCALE = (np.inf, 0.05)

@@ -6,8 +6,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from armctl.control.depth_ranges import DepthCamera
-from armctl.control.depth_scan import CameraMount, DepthScanner
+from armctl.estimation.depth_ranges import DepthCamera
+from armctl.estimation.depth_scan import CameraMount, DepthScanner
 from armctl.robots.rover import CAMERA, CAMERA_AHEAD, CAMERA_PITCH
 
 MOUNT = CameraMount(CAMERA_AHEAD, above=0.302, lift=0.31)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from armctl.control.tracking import PeopleTracker, TrackerOptions
+from armctl.estimation.tracking import PeopleTracker, TrackerOptions
 
 OBSERVER = np.zeros(2)
 NOBODY = np.zeros((0, 2))

@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from armctl.control.estimation import (
+from armctl.control.streaming import follow
+from armctl.core.arrays import Array
+from armctl.core.options import Positive, options
+from armctl.estimation.kalman import (
     EstimationOptions,
     KalmanFilter,
     LinearModel,
     constant_acceleration,
     constant_velocity,
 )
-from armctl.control.streaming import follow
-from armctl.core.arrays import Array
-from armctl.core.options import Positive, options
 from armctl.kinematics import ArmModel
 from armctl.robot_description.joint_profiles import FOLLOWING_ERROR
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from armctl.control.arm_observer import ArmObserver
 from armctl.control.streaming import follow
+from armctl.estimation.arm_observer import ArmObserver
 from armctl.kinematics import ArmModel
 
 MODEL = ArmModel("ur5")

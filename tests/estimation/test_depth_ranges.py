@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from armctl.control.depth_ranges import DepthCamera
+from armctl.estimation.depth_ranges import DepthCamera
 from armctl.rl.networks.bridge_ranges import ColumnRanges
 from armctl.robots.rover import CAMERA, CAMERA_AHEAD, CAMERA_PITCH
 from armctl.tasks.bridge.observation import camera_pitch, column_directions
