@@ -11,7 +11,6 @@
   ones of so long ago, so candidates cost a comparison each.
 """
 
-from collections import deque
 from typing import Annotated
 
 import numpy as np
@@ -205,7 +204,7 @@ class ArmObserver:
             q = np.where(np.isfinite(q), q, home)
             at_home = bool((np.abs(q - home) < NEAR_HOME).all())
             self._position, self._velocity = (home if at_home else q).astype(float), np.zeros(len(q))
-            self._history = deque([self._position] * (self.options.max_delay + 2), self.options.max_delay + 2)
+            self._history = np.tile(self._position, (self.options.max_delay + 2, 1))
             if at_home:
                 self._joints.reset(np.append(home, np.zeros(len(q))), AT_REST**2 * np.eye(2 * len(q)))
         self._identify_delay(q)
@@ -219,10 +218,9 @@ class ArmObserver:
 
     def _identify_delay(self, q: Array) -> None:
         """Compare readings with the drives of so many control steps ago; the least delay wins unless it is worse."""
-        past = np.array(self._history)[:-1]
         scale = SERVO**2 + self.options.joint_noise**2 * self._joints.noise_scale[0]
         offset = q - self.load_offset
-        self._errors += np.fmin(((past - offset) ** 2).sum(axis=1) / scale, 9.0)  # 9 for missing readings
+        self._errors += np.fmin(((self._history[:-1] - offset) ** 2).sum(axis=1) / scale, 9.0)  # 9 for missing readings
         best = int(self._errors.argmin())
         if self._errors[self.delay] > self._errors[best] + 9.0:
             self.delay = best
@@ -237,4 +235,5 @@ class ArmObserver:
         self._position, self._velocity = follow(
             limits, start, self._velocity, np.clip(goal, limits.lower, limits.upper), self._period
         )
-        self._history.appendleft(self._position)
+        self._history[1:] = self._history[:-1]
+        self._history[0] = self._position
