@@ -22,7 +22,7 @@ from armctl.envs import ModelInterface
 from armctl.estimation.arm_observer import ArmObserver
 from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
-from armctl.kinematics.room import ROOM, with_room
+from armctl.kinematics.room import ROOM, TRACKING_DAMPING, moved_along, with_room
 from armctl.policies import PerWorld, made_for, sees
 from armctl.robot_description.joint_profiles import towards
 from armctl.tasks import OBSERVATION, ReachMovingOptions, ReachOptions
@@ -39,8 +39,6 @@ DAMPING = 1e-4
 """m^2, of joint velocities near singularities."""
 LARGEST_CORRECTION = 0.2
 """rad, of a plan in a control step."""
-NEWTON_STEPS, TRACKING_DAMPING = 4, 8e-3
-"""Corrections of a posture in a control step; their damping, m^2, with which joints turn slowly near singularities."""
 REPLAN_STEPS = 5
 """Control steps after the planned arrival until it plans again."""
 
@@ -162,7 +160,7 @@ class PreparedReachIk(ReachIk):
         belief.read(*np.split(observation.astype(float), (3, 3 + dof, 6 + dof))[:3])
         self._target = belief.target
         if self._steps_to_plan == 0:
-            self._plan(belief.commanded)
+            self._plan(belief.joints_ahead)
             self._inside = self._search.model.position(self._entry) - self._aim
         self._steps_to_plan -= 1
         self._correct()
@@ -207,13 +205,7 @@ class PreparedReachIkTracking(ReachIkTracking):
         assert self._posture is not None
         ahead = float(np.clip(model.min_time(start, self._posture), LAG, FARTHEST_AHEAD))
         meeting = belief.target_ahead(ahead)
-        fastest = model.limits.velocity * CONTROL_PERIOD
-        lower = np.maximum(self._posture - fastest, model.limits.lower)
-        upper = np.minimum(self._posture + fastest, model.limits.upper)
-        for _ in range(NEWTON_STEPS):  # joints at their speed limit leave the rest to the others
-            error = meeting - model.position(self._posture) - belief.tip_offset(self._posture)
-            step = damped_step(model.jacobian(self._posture)[:3], error, TRACKING_DAMPING)
-            self._posture = np.clip(self._posture + step, lower, upper)
+        self._posture = moved_along(model, self._posture, meeting - belief.tip_offset(self._posture), CONTROL_PERIOD)
         speeds = damped_step(model.jacobian(self._posture)[:3], belief.target_velocity_ahead(), TRACKING_DAMPING)
         command = self._posture + speeds * np.abs(speeds) / (2 * model.limits.acceleration) - belief.load_offset
         belief.send(command)

@@ -22,7 +22,7 @@ from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
 from armctl.estimation.arm_observer import ArmObserver, ArmReadings
 from armctl.kinematics import ArmModel, Ik, ReachabilityMap
-from armctl.kinematics.room import ROOM, with_room
+from armctl.kinematics.room import ROOM, moved_along, with_room
 from armctl.policies import PerWorld, made_for, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
@@ -45,6 +45,8 @@ WAY_POINTS = 25
 """Configurations on each straight motion of a way at which distances are measured."""
 POSTURE_TOLERANCE = 0.02
 """rad: largest joint error at which a posture counts as reached."""
+FARTHEST_AHEAD = 0.5
+"""s: a moving target is met so far ahead at most."""
 AMONG_BOXES = ReachMpcExpertOptions()
 WITHOUT_BOXES = ReachMpcExpertOptions(margin=0.01, influence_distance=0.06)
 """Nearer to the floor and to itself than an arm goes to boxes."""
@@ -111,13 +113,10 @@ class ReachWithMpc:
             return self._first_goal(extra)
         if self._is_stuck(distance):
             self._posture = self._chosen()
-            if not self._boxed and not self._tracks:
+            if not self._boxed:
                 self._stream = self._plan = None
-        if self._stream is None:
-            if np.abs(belief.commanded - self._posture).max() > POSTURE_TOLERANCE:
-                return self._posture
-            self._stream = CommandStream(self._model.limits, self.mpc.problem.period, self._posture)
-            self.mpc.reset()
+        if self._stream is None and not self._is_there(distance):
+            return self._posture
         if len(self._way) and np.abs(belief.joints - self._posture).max() < PASSING:
             self._posture, self._way = self._way[0], self._way[1:]
         posture = None if distance < self._tolerance else self._posture
@@ -126,6 +125,25 @@ class ReachWithMpc:
             targets = self._positions_ahead(self._stream.position, self._posture)
         self._plan = self.mpc.plan(self._stream.position, self._stream.velocity, targets, posture)
         return self._stream.goal(self._plan)
+
+    def _is_there(self, distance: float) -> bool:
+        """Start the MPC in the posture, or at a target that moves along with it; return whether the arm is there."""
+        belief, limits, period = self._belief, self._model.limits, self.mpc.problem.period
+        assert self._posture is not None
+        if self._tracks:
+            assert isinstance(belief, ArmObserver)
+            ahead = np.clip(self._model.min_time(belief.joints_ahead, self._posture), period, FARTHEST_AHEAD)
+            meeting = belief.target_ahead(ahead) - belief.tip_offset(self._posture)
+            self._posture = moved_along(self._model, self._posture, meeting, period)
+            if distance > self._tolerance:
+                return False
+            self._stream = CommandStream(limits, period, belief.commanded, belief.commanded_velocity)
+        elif np.abs(belief.joints_ahead - self._posture).max() > POSTURE_TOLERANCE:
+            return False
+        else:
+            self._stream = CommandStream(limits, period, self._posture)
+        self.mpc.reset()
+        return True
 
     def _arrival(self) -> Array:
         """Return the joint positions (dof,) at the end of the last plan, or the posture without one."""
@@ -136,7 +154,7 @@ class ReachWithMpc:
         """Start towards a posture, without a full plan: looking the posture up takes time."""
         if self._boxed:
             self.mpc.surround(read_boxes(extra))
-        q, self._posture = self._belief.commanded, self._chosen()
+        q, self._posture = self._belief.joints_ahead, self._chosen()
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
         self._plan = self.mpc.begin(q, np.zeros_like(q), self._posture)
         return self._stream.goal(self._plan)
@@ -147,7 +165,7 @@ class ReachWithMpc:
         Among boxes it is the first of a way, if one is found, unless at first, the straight motion to the posture
         reached earliest is free: then the target itself is tracked, which is faster.
         """
-        q, target = self._belief.commanded, self._belief.target
+        q, target = self._belief.joints_ahead, self._belief.target
         if self._posture is not None:
             target = target - self._belief.tip_offset(self._arrival())
         if self._tracks:
@@ -176,7 +194,7 @@ class ReachWithMpc:
         if distance < self._nearest - MIN_PROGRESS:
             self._nearest, self._waited = distance, 0
         self._waited += 1
-        if distance < self._tolerance or self._waited <= STUCK_STEPS or self._stream is None:
+        if distance < self._tolerance or self._waited <= STUCK_STEPS or (self._tracks and self._stream is None):
             return False
         self._nearest, self._waited = np.inf, 0
         return True

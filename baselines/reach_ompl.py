@@ -6,6 +6,9 @@ than its drives need to stop, it goes back to the nearest point of the path. It 
 observation alone, which includes the boxes, and again if it sees nothing of its path. A plan that failed is not asked
 for again as it was.
 
+Prepared, it goes by estimates instead of readings, with a model whose links have the estimated lengths, and waits until
+noisy boxes are known.
+
 With the option `jerk_limited`, it executes the path by the clock instead, as one trajectory within limits of jerk.
 """
 
@@ -23,6 +26,7 @@ from armctl.control.trajectory import Trajectory, smooth
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
+from armctl.estimation.arm_observer import WELL_KNOWN, ArmObserver, StandingObjects
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.policies import PerWorld, made_for, sees
@@ -54,14 +58,29 @@ SMOOTHING = 0.3
 """Weight of the latest reading of the joints' lag behind a trajectory: a tremble of readings is not lost."""
 SAMPLE = 0.02
 """s: time between the configurations from which to which a trajectory is checked."""
+RESERVED, RESERVED_FOR_LINKS = 2.0, 0.1
+"""Distance to keep in addition: standard deviations of the boxes, or m for a relative error of links."""
+NO_RESERVE, LARGEST_RESERVE = 0.001, 0.03
+"""m."""
+WRONG, ARRIVED = 0.015, 0.03
+"""m by which a box, the target or a link was believed elsewhere when a plan was made, if it is made again; rad from its
+end at which the arm has arrived."""
+SAME_LENGTH, LENGTH_SHARES = 0.005, (1.0, 0.5, 0.0)
+"""Relative error below which links are the model's; shares of the errors to plan with, the next after each few
+failures: with those believed at first, a target can seem out of reach."""
+NARROWER = 0.7
+"""Factor of the target's radius after each arrival beside it."""
 
 
 @options
 class ReachOmplOptions:
     """Options of the expert."""
 
+    prepared: bool = True
+    """Estimate joints, links, load, target, boxes and delay. False: believe every reading, and the model."""
     jerk_limited: bool = False
-    """Execute paths as trajectories within limits of jerk: smoother and slower, and best with control=velocity."""
+    """Execute paths as trajectories within limits of jerk: smoother and slower, best with control=velocity,
+    and without estimates."""
 
 
 @made_for("armctl/ArmReachObstacles-v0", controls="arms: position")
@@ -75,7 +94,8 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     setting = ArmModel(env.robot), task.tolerance, CONTROL_PERIOD
     if choice.jerk_limited:
         return PerWorld([JerkLimitedReachOmpl(*setting, task.control) for _ in range(env.num_envs)])
-    return PerWorld([ReachOmpl(*setting) for _ in range(env.num_envs)])
+    expert = PreparedReachOmpl if choice.prepared else ReachOmpl
+    return PerWorld([expert(*setting) for _ in range(env.num_envs)])
 
 
 class ReachOmpl:
@@ -92,6 +112,7 @@ class ReachOmpl:
         self._braking: EdgeChecker | None = None
         self._path = np.zeros((0, self._model.dof))
         self._since_plan, self._failures = REPLAN_STEPS, 0
+        self._clearances, self._radius = CLEARANCES, self._tolerance
         self._drives: tuple[Array, Array] | None = None
 
     def plans(self) -> dict[str, Array]:
@@ -106,29 +127,32 @@ class ReachOmpl:
         """Return joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
         dof, limits = self._model.dof, self._model.limits
         _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        q = np.clip(q, limits.lower, limits.upper)
-        goal = self._goal(q, target, read_boxes(boxes))
+        return self._step(np.clip(q, limits.lower, limits.upper), target, read_boxes(boxes))
+
+    def _step(self, q: Array, target: Array, boxes: Boxes) -> Array:
+        """Return what to command (dof,) from `q` (dof,), and take note of it."""
+        goal = self._goal(q, target, boxes)
         position, velocity = self._driven(q)
         command = self._command(q, goal, position, velocity)
         self._observed, self._commanded = q, command
-        self._drives = follow(limits, position, velocity, command, self._period)
+        self._drives = follow(self._model.limits, position, velocity, command, self._period)
         return command
 
     def _goal(self, q: Array, target: Array, boxes: Boxes) -> Array:
         """Return where to go on the path (dof,), which is planned again if none of it is in sight; `q` if no path."""
         self._since_plan += 1
         goal = self._on_path(q)
-        if goal is None and (self._since_plan > REPLAN_STEPS or 0 < self._failures < len(CLEARANCES)):
+        if goal is None and (self._since_plan > REPLAN_STEPS or 0 < self._failures < len(self._clearances)):
             self._plan(q, target, boxes)
             goal = self._on_path(q)
         return q if goal is None else goal
 
     def _plan(self, q: Array, target: Array, boxes: Boxes) -> None:
         """Plan a path from `q` (dof,): after each failure nearer to things, to more goals, and with another seed."""
-        clearance, self._since_plan = CLEARANCES[min(self._failures, len(CLEARANCES) - 1)], 0
+        clearance, self._since_plan = self._clearances[min(self._failures, len(self._clearances) - 1)], 0
         tries = 1 + self._failures
         options = ArmPlannerOptions(clearance=clearance, goals=GOALS * tries, seed=tries)
-        plan = ArmPlanner(self._model, options).plan(q, target, self._tolerance, boxes)
+        plan = ArmPlanner(self._model, options).plan(q, target, self._radius, boxes)
         self._path, self._failures = plan.path, 0 if plan.solved else self._failures + 1
         self._sight, self._braking = (
             EdgeChecker(self._shapes, boxes, share * clearance, q) for share in (SIGHT, BRAKING)
@@ -180,6 +204,76 @@ class ReachOmpl:
         """
         assert self._braking is not None
         return all(self._braking.stops_freely(position - lag, velocity, goal - lag) for lag in (0.0, position - q))
+
+
+class PreparedReachOmpl(ReachOmpl):
+    """Goes by estimates instead of readings: of joints, target, boxes, links, load and delay.
+
+    It waits at home until boxes and target are known well enough, keeps the farther from boxes the less well they are,
+    and plans again when it knows better, and where it has arrived without reaching the target.
+    """
+
+    def __init__(self, model: ArmModel, tolerance: float, period: float) -> None:
+        self._belief, self._nominal, self._nominal_shapes = ArmObserver(model, period), model, ArmShapes(model)
+        super().__init__(model, tolerance, period)
+
+    def reset(self) -> None:
+        """Forget the plan, and all readings."""
+        super().reset()
+        self._belief.reset()
+        self._model, self._shapes = self._nominal, self._nominal_shapes
+        self._boxes, self._planned_for = StandingObjects(), np.zeros(0)
+        self._arrivals, self._errors = 0, np.zeros(self._model.dof + 1)
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Return joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
+        belief, dof = self._belief, self._model.dof
+        tip, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        belief.read(tip, q, target)
+        self._boxes.read(boxes)
+        if len(self._path) == 0 and self._spread > WELL_KNOWN:
+            command = belief.commanded
+        else:
+            self._reconsider(belief.joints_ahead)
+            command = self._step(belief.joints_ahead, belief.target, read_boxes(self._boxes.mean))
+        command = command - belief.load_offset
+        belief.send(command)
+        return np.asarray(command)
+
+    @property
+    def _spread(self) -> float:
+        """Standard deviation (m) of the means of what stands still."""
+        return self._boxes.deviation(self._belief.noise)
+
+    def _reconsider(self, q: Array) -> None:
+        """Drop a plan that was made with too wrong beliefs, or that has ended beside the target."""
+        belief, end = self._belief, self._path[-1] if len(self._path) else q
+        facts = np.concatenate((belief.target, self._boxes.mean))
+        if len(self._planned_for) and self._since_plan > REPLAN_STEPS:
+            moved = np.cumsum((belief.length_errors - self._errors)[:, None] * self._model.segments(end), axis=0)
+            has_arrived = len(self._path) > 0 and np.abs(q - end).max() < ARRIVED
+            if has_arrived or max(np.abs(facts - self._planned_for).max(), np.abs(moved).max()) > WRONG:
+                self._arrivals += has_arrived
+                self._sight, self._failures = None, 0
+        if self._sight is None or self._failures:
+            self._planned_for, self._errors = facts, belief.length_errors.copy()
+            self._prepare()
+
+    def _prepare(self) -> None:
+        """Set model, distances and the target's radius for the next plan."""
+        largest = float(np.abs(self._errors).max())
+        if largest > SAME_LENGTH:
+            share = LENGTH_SHARES[self._failures // len(self._clearances) % len(LENGTH_SHARES)]
+            self._model = self._nominal.with_lengths(share * self._errors)
+            self._shapes = ArmShapes(self._model)
+        reserve = min(max(RESERVED * self._spread, RESERVED_FOR_LINKS * largest), LARGEST_RESERVE)
+        farther = CLEARANCES[0] + reserve, CLEARANCES[0] + reserve / 2
+        self._clearances = (*farther, *CLEARANCES) if reserve > NO_RESERVE else CLEARANCES
+        self._radius = self._tolerance * NARROWER**self._arrivals
+
+    def _driven(self, q: Array) -> tuple[Array, Array]:
+        """Return position and velocity (dof,) of the drives when the next command acts."""
+        return self._belief.commanded, self._belief.commanded_velocity
 
 
 class JerkLimitedReachOmpl(ReachOmpl):

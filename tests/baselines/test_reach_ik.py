@@ -2,11 +2,14 @@ import math
 from typing import Any
 
 import numpy as np
+import pinocchio
 import pytest
 
 from armctl.baselines.reach_ik import REPLAN_STEPS
 from armctl.disturbances import ARM
 from armctl.envs import make_worlds
+from armctl.kinematics import ArmModel, Ik
+from armctl.kinematics.room import DIRECTIONS
 from armctl.policies import make_policy
 from armctl.rollout import evaluate
 from armctl.tasks.reach import CONTROL_PERIOD
@@ -92,3 +95,33 @@ def test_it_plays_every_task_that_it_is_made_for(env, options, prepared):
     )  # fmt: skip
     assert not (results.outcome == "error").any()
     assert results.success.sum() >= 2 or "Obstacles" in env  # it ignores boxes
+
+
+@pytest.mark.slow
+def test_it_wins_most_of_what_weak_motors_can_hold():
+    """With 20 kg, a third of the targets have no posture in which the motors could hold the arm, near or at them.
+
+    Of the others, it reaches nine in ten; momentum brings it to some of the rest.
+    """
+    episodes, load, tolerance = 100, 20.0, 0.05
+    worlds = make_worlds(REACH, episodes)
+    observations, _ = worlds.reset(seed=[300] * episodes, options={"episode": np.arange(episodes)})
+    model = ArmModel("ur5")
+    places = observations[:, None, 9:12] + 0.9 * tolerance * np.vstack((np.zeros(3), DIRECTIONS))
+    holdable = np.array([any(can_hold(model, Ik(model), place, load) for place in sphere) for sphere in places])
+    results = evaluate(
+        "reach_ik", episodes=episodes, seed=300, worlds=25, env_options={"disturbances": {"payload": load}},
+        lower_bound_steps=False,
+    )  # fmt: skip
+    assert 0.6 < holdable.mean() < 0.75
+    assert results.success[holdable].mean() > 0.88
+    assert results.success[~holdable].mean() < 0.6
+
+
+def can_hold(model, ik, place, load):
+    """Return True if a collision-free posture at a place (3,) needs no more torque than the motors have, at rest."""
+    for q in ik.free_configurations(place):
+        weight = pinocchio.computeGeneralizedGravity(model.pinocchio, model.pinocchio.createData(), q)
+        if (np.abs(weight + load * 9.81 * model.jacobian(q)[2]) <= model.limits.effort).all():
+            return True
+    return False

@@ -13,6 +13,7 @@ from armctl.rollout import evaluate
 from armctl.tasks.reach import read_boxes
 
 OBSTACLES = "armctl/ArmReachObstacles-v0"
+UNPREPARED = "reach_ompl:prepared=false"
 JOINTS = slice(3, 9)
 
 
@@ -25,7 +26,7 @@ def model():
 def played():
     """An expert's episodes: observations and labels of the worlds that still play, (n, ...) at each control step."""
     worlds = make_worlds(OBSTACLES, 20)
-    policy = make_policy("reach_ompl", worlds)
+    policy = make_policy(UNPREPARED, worlds)
     observations, _ = worlds.reset(seed=31)
     policy.reset(np.arange(20, dtype=np.int32))
     steps, playing = [], np.ones(20, dtype=bool)
@@ -65,7 +66,7 @@ def test_labels_change_little_from_one_step_to_the_next(played):
 def test_labels_go_by_the_observed_joints(model, played, shift):
     """Asked where somebody else has taken the joints, the label starts from there, and is safe too."""
     worlds = make_worlds(OBSTACLES, 20)
-    policy = make_policy("reach_ompl", worlds)
+    policy = make_policy(UNPREPARED, worlds)
     policy.reset(np.arange(20, dtype=np.int32))
     rng, safe, moved = np.random.default_rng(0), [], []
     for observations, labels, playing in played[:12]:
@@ -85,7 +86,7 @@ def test_labels_go_by_the_observed_joints(model, played, shift):
 def test_joints_that_are_in_a_box_stay(model, played):
     observations, _, _ = played[0]
     worlds = make_worlds(OBSTACLES, 20)
-    policy = make_policy("reach_ompl", worlds)
+    policy = make_policy(UNPREPARED, worlds)
     policy.reset(np.arange(20, dtype=np.int32))
     hostile = observations.copy()
     rng = np.random.default_rng(1)
@@ -101,7 +102,7 @@ def test_joints_that_are_in_a_box_stay(model, played):
 def test_a_plan_is_made_again_where_nothing_of_it_is_in_sight(model, played):
     observations, _, _ = played[0]
     worlds = make_worlds(OBSTACLES, 20)
-    policy: Any = make_policy("reach_ompl", worlds)
+    policy: Any = make_policy(UNPREPARED, worlds)
     controllers = policy.controllers
     policy.act(observations)
     before = [one._path.copy() for one in controllers]
@@ -160,7 +161,7 @@ def test_it_reaches_where_it_touched_or_stood_still(seed, episode):
 def test_joints_that_are_off_their_drives_stop_freely(model, played):
     """Drives that stop freely are not enough: from the joints as observed, the same motion touches nothing either."""
     worlds = make_worlds(OBSTACLES, 20)
-    policy: Any = make_policy("reach_ompl", worlds)
+    policy: Any = make_policy(UNPREPARED, worlds)
     controllers = policy.controllers
     rng, limits, safe = np.random.default_rng(0), model.limits, []
     policy.act(played[0][0])
@@ -200,3 +201,31 @@ def test_an_arm_that_leaves_its_trajectory_goes_on_by_sight(disturbances):
     policy = "reach_ompl:jerk_limited=true"
     played = evaluate(policy, OBSTACLES, episodes=6, seed=100, worlds=6, env_options=options, lower_bound_steps=False)
     assert (played.outcome == "reached").sum() >= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("disturbances", "unprepared", "prepared"),
+    [({}, 59, 59), ({"noise": 0.05}, 15, 48), ({"delay": 8}, 48, 58), ({"mismatch": 0.1}, 40, 50)],
+)
+def test_it_is_prepared_for_noise_delay_and_links_of_other_lengths(disturbances, unprepared, prepared):
+    """Of 60 episodes, it reaches so many at least, and without estimates so few at most, unless nothing disturbs."""
+    successes = [
+        evaluate(
+            policy, OBSTACLES, episodes=60, seed=302, worlds=20, env_options={"disturbances": disturbances},
+            lower_bound_steps=False,
+        ).success.sum()
+        for policy in (UNPREPARED, "reach_ompl")
+    ]  # fmt: skip
+    assert successes[1] >= prepared
+    assert successes[0] <= unprepared or not disturbances
+
+
+def test_it_waits_for_boxes_that_are_noisy_and_begins_at_once_if_they_are_not():
+    for noise, waits in ((0.0, False), (0.05, True)):
+        worlds = make_worlds(OBSTACLES, 1, options={"disturbances": {"noise": noise}})
+        policy: Any = make_policy("reach_ompl", worlds)
+        observation, _ = worlds.reset(seed=31)
+        action = policy.act(observation)
+        assert (len(policy.controllers[0]._path) == 0) == waits
+        assert np.allclose(action, observation[:, JOINTS], atol=0.2) or not waits

@@ -18,6 +18,7 @@ class SimulatedArm:
         self.position, self.velocity = MODEL.home.copy(), np.zeros(6)
         self.waiting, self.load, self.noise = [MODEL.home] * delay, load, noise
         self.lengths = self.rng.uniform(-lengths, lengths, 7)
+        self.lengths[0] = 0.0
 
     @property
     def q(self):
@@ -98,6 +99,30 @@ def test_commands_shifted_by_its_load_leave_no_offset(delay):
         arm.move(command)
     np.testing.assert_allclose(arm.q, goal, atol=1e-4)
     np.testing.assert_allclose(observer.commanded, goal, atol=1e-3)
+
+
+@pytest.mark.parametrize("delay", [0, 4])
+def test_it_knows_where_the_joints_will_be_when_a_command_acts(delay):
+    arm, observer = SimulatedArm(delay, load=0.01), ArmObserver(MODEL, PERIOD)
+    move(arm, observer, 60)
+    ahead, now = observer.joints_ahead, arm.q
+    for goal in [*arm.waiting, arm.position][:delay]:
+        arm.position, arm.velocity = follow(MODEL.limits, arm.position, arm.velocity, goal, PERIOD)
+    np.testing.assert_allclose(ahead, arm.q, atol=5e-3)
+    assert delay == 0 or np.abs(arm.q - now).max() > 0.05
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.05])
+def test_at_rest_it_measures_the_noise(noise):
+    levels = []
+    for seed in range(20):
+        arm, observer = SimulatedArm(noise=noise, seed=seed), ArmObserver(MODEL, PERIOD)
+        for _ in range(10):
+            observer.read(*arm.readings())
+            observer.send(MODEL.home)
+            arm.move(MODEL.home)
+        levels.append(observer.noise)
+    np.testing.assert_allclose(np.mean(levels), noise, rtol=0.15, atol=1e-4)
 
 
 def test_a_moving_target_is_predicted_over_the_delay():

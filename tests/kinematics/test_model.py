@@ -186,3 +186,14 @@ def test_boxes_are_minded_where_they_stand_and_only_there(model):
         assert len(touched.boxes) == 1
         if model.description.name.startswith("ur"):
             assert not touched.is_free(q)
+
+
+def test_links_of_other_lengths_move_the_end_effector_by_their_segments():
+    model = ArmModel("ur5")
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(-3, 3, (10, 6)):
+        errors, position = rng.uniform(-0.2, 0.2, 7), model.position(q)
+        longer = model.with_lengths(errors)
+        for place in (longer.position(q), longer.positions(q[None])[0], longer.segments(q).sum(axis=0)):
+            np.testing.assert_allclose(place, (1 + errors) @ model.segments(q), atol=1e-12)
+        np.testing.assert_array_equal(model.position(q), position)

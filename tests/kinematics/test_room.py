@@ -1,7 +1,7 @@
 import numpy as np
 
 from armctl.kinematics import ArmModel, Ik
-from armctl.kinematics.room import DIRECTIONS, room, with_room
+from armctl.kinematics.room import DIRECTIONS, moved_along, room, with_room
 
 MODEL = ArmModel("ur5")
 
@@ -31,3 +31,12 @@ def test_the_posture_with_room_is_free_on_target_and_has_more_of_it_than_most():
 
 def test_out_of_reach_there_is_none():
     assert with_room(Ik(MODEL), np.array([3.0, 0, 0]), MODEL.home, 0.15) is None
+
+
+def test_a_posture_moves_along_with_a_target_as_fast_as_joints_can():
+    near, far = (MODEL.position(MODEL.home) + distance * np.array([0.0, 0.6, 0.8]) for distance in (0.02, 0.5))
+    np.testing.assert_allclose(MODEL.position(moved_along(MODEL, MODEL.home, near, 0.04)), near, atol=1e-3)
+    moved = moved_along(MODEL, MODEL.home, far, 0.04)
+    assert np.abs(moved - MODEL.home).max() <= 0.04 * MODEL.limits.velocity.max() + 1e-12
+    closer = np.linalg.norm(MODEL.position(moved) - far)
+    assert 0.3 < closer < 0.45

@@ -45,13 +45,15 @@ class CommandStream:
     speed up and brake again, and only their mean velocity is the plan's.
     """
 
-    def __init__(self, limits: JointLimits, period: float, position: ArrayLike) -> None:
+    def __init__(
+        self, limits: JointLimits, period: float, position: ArrayLike, velocity: ArrayLike | None = None
+    ) -> None:
         self.limits, self.period = limits, period
         self.position: Array = np.array(position, dtype=float)
         """(dof,) rad: the command's position."""
-        self.velocity: Array = np.zeros_like(self.position)
+        self.velocity: Array = np.zeros_like(self.position) if velocity is None else np.array(velocity, dtype=float)
         """(dof,) rad/s: the plan's velocity."""
-        self._drives: Array = np.zeros_like(self.position)
+        self._drives: Array = self.velocity.copy()
 
     def goal(self, motion: JointTrajectory) -> Array:
         """Return the goal (dof,) rad that makes drives execute a plan's first period."""

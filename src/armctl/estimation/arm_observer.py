@@ -30,6 +30,8 @@ from armctl.estimation.kalman import (
 from armctl.kinematics import ArmModel
 from armctl.robot_description.joint_profiles import FOLLOWING_ERROR
 
+WELL_KNOWN = 0.007
+"""m: standard deviation of boxes at which an arm can set out."""
 NEAR_HOME = 0.3
 """rad: an arm whose first readings are all so near to its home position is at home."""
 AT_REST = 0.01
@@ -38,6 +40,28 @@ SERVO = 0.02
 """rad: by which joints are off their drives in motion."""
 SETTLING = 0.3
 """s: while joints move relative to their drives, their offset so long ahead is as uncertain as their motion is far."""
+
+
+class StandingObjects:
+    """Means of readings of what stands still, such as boxes, and how well they are known."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all readings."""
+        self.mean: Array = np.zeros(0)
+        """(k,)."""
+        self._readings = 0
+
+    def read(self, numbers: Array) -> None:
+        """Take the readings (k,) of a control step."""
+        self._readings += 1
+        self.mean = numbers if self._readings == 1 else self.mean + (numbers - self.mean) / self._readings
+
+    def deviation(self, noise: float) -> float:
+        """Return the standard deviation of the means, of readings with that of `noise`."""
+        return noise / float(np.sqrt(self._readings))
 
 
 class ArmReadings:
@@ -56,7 +80,7 @@ class ArmReadings:
     def read(self, tip: Array, q: Array, target: Array, target_velocity: Array | None = None) -> None:
         """Take the readings of a control step, as `ArmObserver.read` does."""
         self.tip, self.joints, self.target, self._velocity = tip, q, target, target_velocity
-        self.commanded = q
+        self.joints_ahead = q
 
     def send(self, goal: Array) -> None:
         """Do nothing: commands are not remembered."""
@@ -134,7 +158,8 @@ class ArmObserver:
         for each in (self._joints, self._targets):
             each.reset()
         self._load.reset(np.zeros(dof), 1e-8 * np.eye(dof))
-        self._links.reset(np.zeros(dof + 1), self.options.link_error**2 * np.eye(dof + 1))
+        variances = np.append(0.0, np.full(dof, self.options.link_error**2))  # the first joint is where it is mounted
+        self._links.reset(np.zeros(dof + 1), np.diag(variances))
         self.delay = 0
         """Control steps between a command and its effect."""
         self._errors = np.zeros(self.options.max_delay + 1)
@@ -155,6 +180,28 @@ class ArmObserver:
         """Position (dof,) rad of the joints when all commands under way have had their effect."""
         assert self._position is not None
         return np.asarray(self._position + self.load_offset)
+
+    @property
+    def joints_ahead(self) -> Array:
+        """Joint positions (dof,) rad at the moment from which the next command acts: as far off the drives as now."""
+        assert self._position is not None
+        limits = self._model.limits
+        return np.clip(self.joints + self._position - self._history[self.delay], limits.lower, limits.upper)
+
+    @property
+    def length_errors(self) -> Array:
+        """Relative errors (dof + 1,) of the links' lengths, in the order of `ArmModel.segments`."""
+        return np.asarray(self._links.mean[0])
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation (rad) of the joints' readings."""
+        return self.options.joint_noise * float(np.sqrt(self._joints.measured_noise_scale[0]))
+
+    @property
+    def commanded_velocity(self) -> Array:
+        """Velocity (dof,) rad/s of the drives at that time."""
+        return self._velocity
 
     @property
     def tip(self) -> Array:

@@ -139,6 +139,13 @@ class KalmanFilter:
         scale = np.maximum(sums[:, 0] / sums[:, 1], self._tuning.min_noise)
         return scale if self._tuning.identifies else np.ones(self.count)
 
+    @property
+    def measured_noise_scale(self) -> Array:
+        """The same (n,) from readings alone, without `EstimationOptions.prior_readings`; 0 without readings."""
+        sums, prior = self._beliefs.noise_sums, self.options.prior_readings
+        readings = np.maximum(sums[:, 1] - prior, 1e-9)
+        return np.asarray(np.maximum(sums[:, 0] - prior, 0.0) / readings)
+
     def reset(
         self, mean: ArrayLike = 0.0, covariance: ArrayLike | None = None, ids: NDArray[np.integer] | slice = slice(None)
     ) -> None:

@@ -58,6 +58,19 @@ class ArmModel:
         model._data = self.pinocchio.createData()
         return model
 
+    def with_lengths(self, errors: Array) -> "ArmModel":
+        """Return the same arm with links longer by `errors` (dof + 1,), relative, in the order of `segments`."""
+        model = copy.copy(self)
+        model.__dict__.pop("_weightless", None)
+        model.pinocchio = self.pinocchio.copy()
+        places = [*list(model.pinocchio.jointPlacements)[1:], model.pinocchio.frames[self.tip].placement]
+        for place, error in zip(places, errors, strict=True):
+            place.translation = (1 + error) * place.translation
+        model._data = model.pinocchio.createData()
+        model.joints = joint_records(model.pinocchio, self.axes, self.description)
+        model.shoulder = np.array(model.pinocchio.jointPlacements[1].translation)
+        return model
+
     def placement(self, q: Array) -> pinocchio.SE3:
         """Return the end-effector's pose as a Pinocchio object, valid until the next call."""
         pinocchio.forwardKinematics(self.pinocchio, self._data, q)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from armctl.core.arrays import Array
+from armctl.kinematics.damped_least_squares import damped_step
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.minimum_time_reach import approach
 from armctl.kinematics.model import ArmModel
@@ -20,6 +21,8 @@ CANDIDATES, WAY_POINTS = 32, 20
 """Configurations whose room is measured, the soonest; configurations on the way there that are to be free."""
 ROOM, FULL_ROOM = 0.15, 2.0
 """m: distance around a moving target in which it is expected to stay; s: worth of a posture with room for all that."""
+NEWTON_STEPS, TRACKING_DAMPING = 4, 8e-3
+"""Corrections of a posture in a control step; their damping, m^2, with which joints turn slowly near singularities."""
 
 
 def room(model: ArmModel, q: Array, distance: float) -> Array:
@@ -52,6 +55,20 @@ def with_room(ik: Ik, target: Array, start: Array, distance: float) -> Array | N
     scores = model.min_time(start, goals) - FULL_ROOM * room(model, goals, distance)
     ordered = goals[np.argsort(scores, kind="stable")]
     return np.asarray(next((goal for goal in ordered if _is_way_free(model, start, goal)), ordered[0]))
+
+
+def moved_along(model: ArmModel, posture: Array, target: Array, period: float) -> Array:
+    """Return `posture` (dof,) with the end-effector moved to `target` (3,), or as far as joints turn in `period` (s).
+
+    Joints at their speed limit leave the rest to the others.
+    """
+    fastest = model.limits.velocity * period
+    lower = np.maximum(posture - fastest, model.limits.lower)
+    upper = np.minimum(posture + fastest, model.limits.upper)
+    for _ in range(NEWTON_STEPS):
+        step = damped_step(model.jacobian(posture)[:3], target - model.position(posture), TRACKING_DAMPING)
+        posture = np.clip(posture + step, lower, upper)
+    return posture
 
 
 def _is_way_free(model: ArmModel, start: Array, goal: Array) -> bool:
