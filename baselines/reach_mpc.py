@@ -117,6 +117,7 @@ class ReachWithMpc:
                 self._stream = self._plan = None
         if self._stream is None and not self._is_there(distance):
             return self._posture
+        assert self._stream is not None
         if len(self._way) and np.abs(belief.joints - self._posture).max() < PASSING:
             self._posture, self._way = self._way[0], self._way[1:]
         posture = None if distance < self._tolerance else self._posture

@@ -112,7 +112,8 @@ class ReachOmpl:
         self._braking: EdgeChecker | None = None
         self._path = np.zeros((0, self._model.dof))
         self._since_plan, self._failures = REPLAN_STEPS, 0
-        self._clearances, self._radius = CLEARANCES, self._tolerance
+        self._clearances: tuple[float, ...] = CLEARANCES
+        self._radius = self._tolerance
         self._drives: tuple[Array, Array] | None = None
 
     def plans(self) -> dict[str, Array]:

@@ -135,6 +135,20 @@ def test_reach_mpc_gets_around_boxes(sized):
     assert (results.outcome == "reached").mean() >= 0.9
 
 
+@pytest.mark.slow
+def test_reach_mpc_finds_another_posture_where_it_has_lost_a_moving_target():
+    """Targets at the floor or near the base's axis, behind which it stayed in a local optimum until the time was up."""
+    worlds = make_worlds("armctl/ArmReachMoving-v0", 3)
+    policy = make_policy("reach_mpc", worlds)
+    observations, _ = worlds.reset(seed=[301, 303, 303], options={"episode": np.array([109, 88, 179])})
+    policy.reset(np.arange(3, dtype=np.int32))
+    held = np.zeros(3, dtype=bool)
+    for _ in range(worlds.max_episode_steps - 1):
+        observations, _, terminated, _, _ = worlds.step(policy.act(observations))
+        held |= terminated
+    assert held.all()
+
+
 @pytest.mark.parametrize("policy", ["reach_mpc", "reach_ompl"])
 def test_position_experts_refuse_other_controls_and_observations(policy):
     env = "armctl/ArmReachObstacles-v0"

@@ -186,7 +186,8 @@ class ArmObserver:
         """Joint positions (dof,) rad at the moment from which the next command acts: as far off the drives as now."""
         assert self._position is not None
         limits = self._model.limits
-        return np.clip(self.joints + self._position - self._history[self.delay], limits.lower, limits.upper)
+        ahead = self.joints + self._position - self._history[self.delay]
+        return np.asarray(np.clip(ahead, limits.lower, limits.upper))
 
     @property
     def length_errors(self) -> Array:
