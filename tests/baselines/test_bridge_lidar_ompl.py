@@ -24,10 +24,10 @@ def test_it_crosses_by_its_sensors(env, least, sized):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("disturbances", [{"noise": 0.1}, {"dropout": 0.25}])
-def test_noise_and_lost_pictures_are_survived(disturbances):
+@pytest.mark.parametrize(("disturbances", "least"), [({"noise": 0.1}, 0.9), ({"dropout": 0.25}, 0.8)])
+def test_noise_and_lost_pictures_are_survived(disturbances, least):
     results = evaluate(NAME, STATIC, episodes=10, seed=130, worlds=10, env_options={"disturbances": disturbances})
-    assert results.success.mean() >= 0.8
+    assert results.success.mean() >= least
 
 
 @pytest.mark.slow
