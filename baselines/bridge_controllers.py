@@ -1,5 +1,6 @@
 """Common part of the bridge experts: a policy with one controller per world, which sees the map and the true state."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol
@@ -28,14 +29,20 @@ LIMIT_SHARE = 0.8
 PROBED_ACCELERATION, PROBE = 4.1, np.array((1.0, 1.0, 1.0, -1.0, -1.0, -1.0))
 """m/s^2, below which a rover's turn rate is tried, and the commands for that, rad/s: a load and weak motors hardly let
 it turn, slippery wheels do."""
+PROBE_UNTIL = 1.5
+"""s until which such a try may begin: later, a rover that was pushed would turn towards what it is beside."""
 WEAK_TURN_RATE = 1.0
 """rad/s: the largest turn rate of a weak rover is less."""
 MAP_TOLERANCE = 0.06
 """m or rad: changes of a map with noise for which another path is planned."""
+SIZE_READINGS = 100
+"""Number of the latest maps of which medians are taken."""
 EXTRA_MARGIN = 0.05
 """m: added to distances if readings are noisy or the rover does not do what it should; the least gaps have as much."""
 SLOWEST = 0.85
 """m/s: speed of the weakest rover, for which it has just the time."""
+SLOW_TURN_RATE = 0.6
+"""rad/s, below which a rover has to plan its turns far ahead."""
 FASTEST_PER_ACCELERATION, FASTEST_PER_TURN_RATE = 0.45, 2.5
 """s, m: speed per acceleration and per turn rate."""
 FASTEST_TURN_PER_ACCELERATION = 0.7
@@ -181,8 +188,8 @@ class BridgePolicy:
             if controller:
                 controller.limit(limits_of(observer.response, i, noisy))
                 velocities[i] = controller.act(ahead[i, :3], ahead[i, 3:], times[i])
-        weak = (observer.response.acceleration[:, 0] < PROBED_ACCELERATION) | (self._probes > 0)
-        weak &= self._probes < len(PROBE)
+        weak = (observer.response.acceleration[:, 0] < PROBED_ACCELERATION) & (times < PROBE_UNTIL) | (self._probes > 0)
+        weak &= (self._probes < len(PROBE)) & (observer.response.speed[:, 1] >= SLOW_TURN_RATE)
         velocities[weak, 1] = PROBE[self._probes[weak]]
         self._probes[weak] += 1
         return observer.command(velocities)
@@ -195,15 +202,18 @@ class MapAverage:
     """
 
     def __init__(self) -> None:
-        self._maps: list[BridgeMap] = []
+        self._count = 0
+        self._means: list[Array] = []
+        self._sizes: deque[Array] = deque(maxlen=SIZE_READINGS)
 
     def with_map(self, bridge: BridgeMap) -> BridgeMap:
         """Return the mean of this map and all before."""
-        self._maps.append(bridge)
-        blocks, start, end = (
-            np.array(parts)
-            for parts in zip(*((m.blocks, m.pedestrians.start, m.pedestrians.end) for m in self._maps), strict=True)
-        )
-        mean_blocks = np.concatenate((blocks[..., :2].mean(axis=0), np.median(blocks[..., 2:], axis=0)), axis=-1)
-        walkers = replace(bridge.pedestrians, start=start.mean(axis=0), end=end.mean(axis=0))
-        return replace(bridge, blocks=mean_blocks, pedestrians=walkers)
+        walkers = bridge.pedestrians
+        readings = bridge.blocks[:, :2], walkers.start, walkers.end
+        self._count += 1
+        means = self._means or readings
+        self._means = [mean + (new - mean) / self._count for mean, new in zip(means, readings, strict=True)]
+        self._sizes.append(bridge.blocks[:, 2:])
+        centres, start, end = self._means
+        blocks = np.column_stack((centres, np.median(self._sizes, axis=0)))
+        return replace(bridge, blocks=blocks, pedestrians=replace(walkers, start=start, end=end))

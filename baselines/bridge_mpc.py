@@ -15,11 +15,13 @@ import numpy as np
 
 from armctl.baselines.bridge_controllers import (
     MAP_TOLERANCE,
+    SLOW_TURN_RATE,
     BridgePolicy,
     distance_from_path,
     map_distance,
     path_from,
 )
+from armctl.baselines.bridge_slow_turner import SlowTurner
 from armctl.control.drive_limits import DriveLimits
 from armctl.control.drive_mpc import DriveMpc, DriveMpcOptions
 from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
@@ -44,8 +46,8 @@ STANDING, MAX_STANDING = 0.1, 15
 """m/s or rad/s, and control steps: a prepared rover that is slower for longer plans another path."""
 ESCAPE, ESCAPE_TIME = PursuitOptions(max_speed=0.5, max_turn_rate=1.0, turn_first=0.2), 2.0
 """Pursuit of the new path by a rover that stood, and for how long, s: it turns on the spot, where MPC sees no way."""
-SLOW_TURN_RATE, FAR_STEPS, FAR_PERIOD = 0.6, 40, 0.2
-"""rad/s, below which a rover looks farther ahead: so many steps of so many s."""
+FAR_STEPS, FAR_PERIOD = 40, 0.2
+"""A rover that turns slowly among people looks so many steps of so many s ahead."""
 
 
 @made_for("armctl/BridgeCross*", controls="rover")
@@ -84,6 +86,7 @@ class BridgeMpc:
         self._limits: DriveLimits | None = None
         self._planned_for, self._standing = bridge, 0
         self._escape: tuple[RegulatedPurePursuit, float] | None = None
+        self._slow_turner = SlowTurner(goal_x)
         self._plans: dict[str, Array] = {}
         self._failed_before = 0
 
@@ -108,6 +111,11 @@ class BridgeMpc:
 
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Return linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
+        if self._limits and _turns_slowly(self._limits) and not len(self._bridge.pedestrians.speed):
+            command = self._slow_turner.act(self._bridge, pose, velocity, self._limits)
+            if command and self._slow_turner.path:
+                self._plans = {"path": self._slow_turner.path.segments[:, 1:3]}
+                return command
         if self._mpc is None or distance_from_path(self._mpc, pose) > REPLAN_DISTANCE or self._is_stuck(velocity):
             path = path_from(self._bridge, pose[:2], self._goal_x, self._limits.margin if self._limits else 0.0)
             if not len(path):

@@ -44,6 +44,14 @@ def test_it_keeps_its_distance_and_always_has_a_solution(monkeypatch):
     assert np.mean([result.solved for result in results]) > 0.99
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("disturbances", "least"), [({"payload": 40.0}, 0.8), ({"strength": 0.2}, 0.3)])
+def test_rovers_that_hardly_turn_cross(disturbances, least):
+    options = {**FAST, "disturbances": disturbances}
+    results = evaluate("bridge_mpc", STATIC, episodes=10, seed=100, worlds=10, env_options=options)
+    assert results.success.mean() >= least
+
+
 def test_it_refuses_other_tasks():
     with pytest.raises(ConfigurationError, match="BridgeCross"):
         make_policy("bridge_mpc", gymnasium.make("armctl/ArmReach-v0"))

@@ -32,6 +32,9 @@ VELOCITY_DEVIATIONS, POSE_DEVIATIONS = (0.03, 0.06), (0.006, 0.003, 0.0)
 pose, and of the pose itself."""
 DELAY_OPTIONS = DelayOptions(threshold=8.0)
 """Options of the delay's identification: slow drives are similar to late ones, which takes more evidence."""
+WEAK_TURN_RATE, WEAK_GAIN = 0.6, 3.0
+"""rad/s, below which drives hardly turn, and ratio of their commands to the turn rates that they reach: those that skid
+with all their force need no more, which would slow them down."""
 REMAINING = 0.3
 """Share of a velocity's error that remains after a period."""
 YAW = np.array((0.0, 0.0, 1.0, 0.0, 0.0))
@@ -64,13 +67,13 @@ class DriveObserverOptions:
     """rad/s: turn rate above which a robot is in a turn."""
     learning: Share = 0.8
     """Weight of a new sample of an acceleration."""
-    stalled: tuple[NonNegative, NonNegative] = (0.0, 0.3)
-    """Shares of the expected change below which a velocity is taken to be at its limit."""
+    stalled: NonNegative = 0.2
+    """Share of the expected change below which a turn rate is taken to be at its limit."""
     stall_command: NonNegative = 0.45
-    """m/s or rad/s: least command of a stall."""
+    """rad/s: least command of a stall."""
     stall_share: Share = 0.25
     """Share of the aim that is missing in a stall."""
-    stall_drop: Share = 0.1
+    stall_drop: Share = 0.03
     """Share that remains of a largest velocity when a stall is seen, or more."""
     min_change: Share = 0.05
     """Share of the expected change below which an acceleration is not to be seen."""
@@ -182,6 +185,8 @@ class DriveObserver:
     def command(self, velocities: Array) -> Array:
         """Return the commands (n, 2) that lead to `velocities` (n, 2), which are sent now."""
         commands = velocities + self.response.offset
+        weak = self.response.speed[:, 1] < WEAK_TURN_RATE
+        commands[weak, 1] = WEAK_GAIN * velocities[weak, 1]
         limits = np.asarray(self.options.max_command)
         commands = np.clip(commands, -limits, limits)
         self._predictor.send(commands)

@@ -24,7 +24,7 @@ class Nominal(NamedTuple):
     slow: Array
     turning: float
     learning: float
-    stalled: Array
+    stalled: float
     stall_command: float
     stall_share: float
     stall_drop: float
@@ -79,19 +79,20 @@ def learn(nominal, response, velocities, commands, responses):
     """Learn from `responses` (n, 2), a period after `velocities` (n, 2), repeated, with commands (m, 2)."""
     n = len(velocities)
     for i in range(len(commands)):
-        j, turns_short = i % n, False
-        for k in (1, 0):  # wheels that cannot turn the robot do not speed it up, either
+        j = i % n
+        is_turning = max(abs(commands[i, 1]), abs(velocities[j, 1])) > nominal.turning
+        slow_share, is_excused = nominal.slow[1] if is_turning else nominal.slow[0], False
+        for k in (1, 0):
             if math.isfinite(responses[j, k] - velocities[j, k]):
-                is_turning = max(abs(commands[i, 1]), abs(velocities[j, 1])) > nominal.turning
                 short = learn_channel(
                     nominal, response, (i, k), velocities[j, k], commands[i, k], responses[j, k],
-                    nominal.slow[1] if is_turning else nominal.slow[0], turns_short,
+                    0.0 if is_excused else slow_share,
                 )  # fmt: skip
-                turns_short = short and k == 1
+                is_excused = short and is_turning  # wheels that cannot turn the robot do not speed it up, either
 
 
 @compiled
-def learn_channel(nominal, response, place, velocity, command, reply, slow_share, is_excused):
+def learn_channel(nominal, response, place, velocity, command, reply, slow_share):
     """Learn from the reply to one command of one drive; return whether it falls short."""
     i, k = place
     aim, reach = target(nominal, response, i, k, command), response.acceleration[i, k] * nominal.period
@@ -100,14 +101,11 @@ def learn_channel(nominal, response, place, velocity, command, reply, slow_share
     expected = min(reach, size)
     change, deviation = direction * (reply - velocity), reply - velocity - direction * expected
     short = direction * (aim - reply) > nominal.shortfall[k] and change >= 0
-    stalled = direction * command > nominal.stall_command and reply * direction > 0
+    stalled = k == 1 and direction * command > nominal.stall_command and reply * direction > 0
     stalled = stalled and direction * (aim - reply) > nominal.stall_share * abs(aim)
-    stalled = stalled and 0 <= change < nominal.stalled[k] * expected
-    is_slow = response.acceleration[i, k] < nominal.acceleration[k] or response.slow[i, k] or response.stalled[i, k]
-    stalled = stalled and is_slow
+    stalled = stalled and change < nominal.stalled * expected
     clear = size >= min(max(0.6 * reach, nominal.clear_gap[0, k]), nominal.clear_gap[1, k])
     slow = short and not stalled and clear and nominal.min_change * expected < change < slow_share * expected
-    slow = slow and not is_excused
     if (slow and response.slow[i, k]) or (size > reach and change > reach):
         response.acceleration[i, k] += nominal.learning * (change / nominal.period - response.acceleration[i, k])
     elif size > 0.75 * reach and change >= 0.9 * expected:
