@@ -112,7 +112,7 @@ class BridgeMpc:
     def act(self, pose: Array, velocity: Array, time: float) -> tuple[float, float]:
         """Return linear and angular velocity for a pose (x, y, yaw), current velocities (m/s, rad/s) and time (s)."""
         if self._limits and _turns_slowly(self._limits) and not len(self._bridge.pedestrians.speed):
-            command = self._slow_turner.act(self._bridge, pose, velocity, self._limits)
+            command: tuple[float, float] | None = self._slow_turner.act(self._bridge, pose, velocity, self._limits)
             if command and self._slow_turner.path:
                 self._plans = {"path": self._slow_turner.path.segments[:, 1:3]}
                 return command
@@ -152,4 +152,4 @@ def _kind(limits: DriveLimits) -> tuple[bool, float]:
 
 
 def _turns_slowly(limits: DriveLimits) -> bool:
-    return limits.max_turn_rate < SLOW_TURN_RATE
+    return bool(limits.max_turn_rate < SLOW_TURN_RATE)
