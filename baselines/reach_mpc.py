@@ -23,6 +23,7 @@ from armctl.envs import ModelInterface
 from armctl.estimation.arm_observer import ArmObserver, ArmReadings
 from armctl.kinematics import ArmModel, Ik, ReachabilityMap
 from armctl.kinematics.room import ROOM, moved_along, with_room
+from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.policies import PerWorld, made_for, sees
 from armctl.tasks import OBSERVATION, ReachOptions
 from armctl.tasks.reach import read_boxes
@@ -37,12 +38,16 @@ class ReachMpcExpertOptions(ReachMpcOptions):
 
 
 STUCK_STEPS, MIN_PROGRESS = 12, 0.005
-"""Control steps in which the tip came less than so many m nearer to the target, after which another posture is looked
-up; without boxes, the arm goes there first."""
+"""Control steps in which the tip came less than so many m nearer to the target, or the joints so many rad nearer to the
+end of a way, after which another posture is looked up; without boxes, the arm goes there first."""
 PASSING = 0.3
 """rad: largest joint error at which a posture on the way counts as passed."""
 WAY_POINTS = 25
 """Configurations on each straight motion of a way at which distances are measured."""
+CLEARANCES = (0.01, 0.0075, 0.005)
+"""m: clearance of planned ways, of the first and of later ones. Layouts are certified with the last."""
+ON_WAY = 0.05
+"""Weight of a joint's distance from the posture ahead on a way, m^2/rad^2."""
 POSTURE_TOLERANCE = 0.02
 """rad: largest joint error at which a posture counts as reached."""
 FARTHEST_AHEAD = 0.5
@@ -91,6 +96,7 @@ class ReachWithMpc:
         self._way: list[Array] = []
         self._guided = False
         self._nearest, self._waited = np.inf, 0
+        self._searches = 0
 
     def plans(self) -> dict[str, Array]:
         """Return planned end-effector positions at the end of each period of the horizon, (N + 1, 3) m."""
@@ -123,7 +129,8 @@ class ReachWithMpc:
         posture = None if distance < self._tolerance else self._posture
         targets = belief.target_ahead(self._ahead[:, 0]) - belief.tip_offset(self._arrival())
         if self._guided:
-            targets = self._positions_ahead(self._stream.position, self._posture)
+            ahead = self._ahead_on_way(self._stream.position, self._posture)
+            targets, posture = self._model.positions(ahead), ahead[-1]
         self._plan = self.mpc.plan(self._stream.position, self._stream.velocity, targets, posture)
         return self._stream.goal(self._plan)
 
@@ -177,25 +184,41 @@ class ReachWithMpc:
         straight = self._posture is None and self.mpc.model.are_free(np.linspace(q, goal, WAY_POINTS)).all()
         if not self._boxed or straight:
             return goal
-        way = self._map.way(target, q, self.mpc.model.boxes)
+        way = self._way_to(target, q)
         if not len(way):
             return goal
         self._guided, self._way = True, list(way[1:])
         corners, shares = np.vstack((q, way)), np.linspace(0, 1, WAY_POINTS)[:, None, None]
-        self.mpc.follow((corners[:-1] + shares * np.diff(corners, axis=0)).reshape(-1, len(q)))
+        self.mpc.follow((corners[:-1] + shares * np.diff(corners, axis=0)).reshape(-1, len(q)), ON_WAY)
         return np.asarray(way[0])
 
-    def _positions_ahead(self, q: Array, posture: Array) -> Array:
-        """Return end-effector positions (N, 3) on the straight motion from `q` (dof,) to `posture` (dof,)."""
+    def _way_to(self, target: Array, q: Array) -> Array:
+        """Return a way (k, dof) from `q` (dof,) of the table, or a planned one where it has none; (0, dof) if none."""
+        boxes, limits = self.mpc.model.boxes, self._model.limits
+        if not self._searches and len(way := self._map.way(target, q, boxes)):
+            return way
+        clearance, self._searches = CLEARANCES[min(self._searches, len(CLEARANCES) - 1)], self._searches + 1
+        planner = ArmPlanner(self._model, ArmPlannerOptions(clearance=clearance, seed=self._searches))
+        return planner.plan(np.clip(q, limits.lower, limits.upper), target, self._tolerance, boxes).path[1:]
+
+    def _ahead_on_way(self, q: Array, posture: Array) -> Array:
+        """Return the configurations (N, dof) of the straight motion from `q` (dof,) to `posture` (dof,)."""
         time = max(float(self._model.cruise_time(q, posture)), self.mpc.problem.period)
-        return self._model.positions(q + np.minimum(self._ahead / time, 1.0) * (posture - q))
+        return np.asarray(q + np.minimum(self._ahead / time, 1.0) * (posture - q))
 
     def _is_stuck(self, distance: float) -> bool:
-        """Return True if the tip has not come nearer to the target for long."""
-        if distance < self._nearest - MIN_PROGRESS:
-            self._nearest, self._waited = distance, 0
+        """Return True if the tip has not come nearer to the target, or the joints to the end of a way, for long."""
+        remaining = self._remaining() if self._guided else distance
+        if remaining < self._nearest - MIN_PROGRESS:
+            self._nearest, self._waited = remaining, 0
         self._waited += 1
         if distance < self._tolerance or self._waited <= STUCK_STEPS or (self._tracks and self._stream is None):
             return False
         self._nearest, self._waited = np.inf, 0
         return True
+
+    def _remaining(self) -> float:
+        """Return the length of the rest of the way, rad of the joint that moves most."""
+        assert self._posture is not None
+        corners = np.array((self._belief.joints, self._posture, *self._way))
+        return float(np.abs(np.diff(corners, axis=0)).max(axis=1).sum())

@@ -4,6 +4,7 @@ import xml.etree.ElementTree as ElementTree
 
 import mujoco
 import numpy as np
+import pinocchio
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -13,6 +14,7 @@ from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance
 from armctl.robot_description import BUILTIN_ARMS, load_arm
 from armctl.robot_description import arm as arms
+from armctl.robot_description.builtin import MAX_ACCELERATION
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.simulation.worlds import world_path
 
@@ -288,3 +290,29 @@ def test_pairs_are_the_same_whenever_a_file_is_read():
         pairs.append(load_arm(arms.robot_data() / builtin.urdf).collision_pairs)
     assert pairs[0] == pairs[1]
     assert ("link5", "link7") not in pairs[0]
+
+
+def test_accelerations_of_a_file_are_those_that_its_motors_can_give_at_once(urdf):
+    text = urdf().read_text()
+    strong, weak, weakest = (
+        load_arm(urdf(text.replace('effort="50"', f'effort="{effort}"'))) for effort in (1e4, 50, 1)
+    )
+    assert set(strong.limits.acceleration) == {MAX_ACCELERATION}
+    assert weak.limits.acceleration.max() <= MAX_ACCELERATION
+    assert weak.limits.acceleration.min() > 1
+    assert weakest.limits.acceleration.min() == 1
+    model = ArmModel(weak).pinocchio
+    data, q = model.createData(), np.random.default_rng(5).uniform(-2, 2, (200, weak.dof))
+    for signs in ([1] * weak.dof, [(-1) ** i for i in range(weak.dof)]):
+        torques = [pinocchio.rnea(model, data, at, np.zeros(weak.dof), weak.limits.acceleration * signs) for at in q]
+        assert np.abs(torques).max() < 1.1 * 50
+
+
+def test_prefixes_need_no_declaration(urdf):
+    plain = urdf()
+    text = plain.read_text().replace("<limit ", '<limit drake:acceleration="2.5" ', 1)
+    path = plain.with_name("prefixed.urdf")
+    path.write_text(text)
+    arm = load_arm(path)
+    assert any("drake:acceleration" in note for note in arm.notes)
+    assert arm.joints == load_arm(plain).joints

@@ -264,8 +264,8 @@ def test_what_is_odd_is_told_and_what_is_not_is_not(urdf, changes, says):
 def test_an_ordinary_file_has_only_assumptions_noted(urdf, harmless):
     notes = noted(urdf(chain(more=("</joint>", f"{harmless}</joint>"))))
     assert notes == (
-        "Assumed, since a URDF does not say: home (rad) 0, 0, 0, 0, 0, 0; acceleration limits (rad/s^2) 15; jerk "
-        "limits (rad/s^3) 300."
+        "Assumed, since a URDF does not say: home (rad) 0, 0, 0, 0, 0, 0; acceleration limits (rad/s^2) 15, 8.48, "
+        "15, 15, 15, 15; jerk limits (rad/s^3) 300."
     )
     assert not noted(urdf(chain()), home=np.zeros(6), max_acceleration=10, max_jerk=100)
 

@@ -11,8 +11,9 @@ J. Optimization 27, 2017), since the Gauss-Newton Hessian misleads far from the 
 to the posture.
 """
 
+import math
 import time
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Annotated
 
 import numpy as np
@@ -45,6 +46,8 @@ NEARBY = 0.15
 """m: distance from the targets within which the Gauss-Newton Hessian is good enough"""
 STEPS = (1.0, 0.3)
 """Step lengths of the line search, the longest first"""
+PERIODS_BETWEEN, SHARES_BETWEEN, MIN_BETWEEN = 10, np.array((0.25, 0.5, 0.75)).reshape(3, 1, 1), 0.005
+"""First periods of a plan in which distances are measured between knots, shares of a period, and least distance, m."""
 USABLE = (
     osqp.SolverStatus.OSQP_SOLVED,
     osqp.SolverStatus.OSQP_SOLVED_INACCURATE,
@@ -93,12 +96,16 @@ class ReachMpc:
 
     def surround(self, boxes: Boxes) -> None:
         """Keep clear of these boxes from now on, and forget the last plan."""
-        self.model = self.model.among(boxes)
+        self.model, self.problem = self.model.among(boxes), self.options.problem
         self._keep_clear_of(self.clearance.among(boxes))
         self.reset()
 
-    def follow(self, way: Array) -> None:
-        """Keep no farther away from anything than a way (n, dof) does, until it is surrounded by other boxes."""
+    def follow(self, way: Array, posture_weight: float) -> None:
+        """Keep no farther away from anything than a way (n, dof) does, until it is surrounded by other boxes.
+
+        `posture_weight` (m^2/rad^2) is that of the postures on it.
+        """
+        self.problem = replace(self.options.problem, posture=posture_weight)
         self._keep_clear_of(self.clearance.along(way))
 
     def _keep_clear_of(self, scene: ScaledScene) -> None:
@@ -171,7 +178,7 @@ class ReachMpc:
         A few iterations may not suffice to plan around an obstacle.
         """
         min_distance = self.options.margin / 2
-        if best.min_distance >= min_distance:
+        if best.min_distance >= min_distance and self._between(best.motion, best.min_distance) >= MIN_BETWEEN:
             return best
         first, falls = best.motion.velocities[1], self.model.limits.acceleration * self.problem.period
         speeds = np.maximum(np.abs(first) - np.arange(self.problem.horizon)[:, None] * falls, 0.0)
@@ -179,10 +186,23 @@ class ReachMpc:
         later = _Linearisation(
             self, parameters, project_onto_limits(self.problem, self.model.limits, parameters, velocities)
         )
-        if later.min_distance >= min_distance:
+        nearest = min(later.min_distance, self._between(later.motion, later.min_distance))
+        if later.min_distance >= min_distance and nearest >= MIN_BETWEEN:
             return best
         braking = _Linearisation(self, parameters, worst)
-        return braking if braking.min_distance > later.min_distance else best
+        between = self._between(braking.motion, braking.min_distance)
+        return braking if min(braking.min_distance, between) > nearest else best
+
+    def _between(self, motion: JointTrajectory, distance: float) -> float:
+        """Return the least distance between the first knots, m: fast arms move by 0.1 m from one to the next.
+
+        It is infinite if the knots are far from everything.
+        """
+        if distance >= self.options.influence_distance:
+            return math.inf
+        q = motion.positions[: PERIODS_BETWEEN + 1]
+        between = q[:-1] + SHARES_BETWEEN * np.diff(q, axis=0)
+        return float(self.clearance.min_distances(between.reshape(-1, q.shape[1]), self.scene).min())
 
     def _solve(
         self, parameters: OcpParameters, worst: JointTrajectory, at: "_Linearisation"

@@ -46,7 +46,7 @@ def six_joints(model: ArmModel) -> ClosedForm | None:
 
     def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
         solution = solver.calculate_IK(pose)
-        return solution.Q, solution.is_LS
+        return np.reshape(solution.Q, (-1, 6)), solution.is_LS  # EAIK's empty one is (0, 0)
 
     return solve
 

@@ -21,6 +21,7 @@ from armctl.robot_description.builtin import BUILTIN_ARMS, MAX_ACCELERATION
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing, posture_above_floor
 from armctl.robot_description.drawn_shapes import drawn_shapes
+from armctl.robot_description.effort import possible_accelerations
 from armctl.robot_description.notes import (
     in_words,
     note_on_home,
@@ -109,8 +110,8 @@ def load_arm(
     `tip` is the end-effector link; the default is a file's only leaf link. `home` (dof,) rad is where episodes start;
     the default is zero, or the middle of the range where zero is out of range, or a posture above the floor if links
     are in it otherwise. `srdf` is a file whose `<disable_collisions>` exclude pairs of links that cannot touch.
-    `max_acceleration` (rad/s^2) and `max_jerk` (rad/s^3) are one number for all joints or one for each; the defaults
-    are a named arm's own, `MAX_ACCELERATION` and `MAX_JERK`.
+    `max_acceleration` (rad/s^2) and `max_jerk` (rad/s^3) are one number for all joints or one for each. The defaults
+    are `MAX_JERK`, and a named arm's own accelerations, or what a file's efforts allow, up to `MAX_ACCELERATION`.
 
     A file may come from a stranger. Meshes are read only below its own package: the nearest folder above it with a
     `package.xml`; or else the folder that holds its folder `urdf` or `robots`; or else its own folder.
@@ -141,7 +142,7 @@ def load_arm(
         path = _existing(path)
     srdf = None if srdf is None else _existing(Path(srdf))
     edited = tuple(file.stat().st_mtime_ns for file in (path, srdf) if file is not None)
-    acceleration = _as_tuple("max_acceleration", MAX_ACCELERATION if max_acceleration is None else max_acceleration)
+    acceleration = None if max_acceleration is None else _as_tuple("max_acceleration", max_acceleration)
     jerk = _as_tuple("max_jerk", MAX_JERK if max_jerk is None else max_jerk)
     home = None if home is None else _as_tuple("home", home)
     return _read_arm(path, edited, tip, home, srdf, acceleration, jerk, builtin is not None)
@@ -171,14 +172,14 @@ def _read_arm(
     tip: str | None,
     home: tuple[float, ...] | None,
     srdf: Path | None,
-    max_acceleration: tuple[float, ...],
+    max_acceleration: tuple[float, ...] | None,
     max_jerk: tuple[float, ...],
     builtin: bool,
 ) -> ArmDescription:
     """Read a file; `edited` (ns) tells its versions apart in the cache. Only an arm that is not `builtin` has notes."""
     source = Urdf(path, tip, package=robot_data().parent)
-    dof = len(source.joints)
-    acceleration = _limit("max_acceleration", max_acceleration, dof)
+    dof, text = len(source.joints), source.text()
+    acceleration = _acceleration(max_acceleration, text, dof)
     joint_limits = JointLimits(*_frozen(*source.limits(), acceleration, _limit("max_jerk", max_jerk, dof)))
     (home_position,) = _frozen(_home_position(home, joint_limits))
     shapes = source.shapes()
@@ -186,7 +187,7 @@ def _read_arm(
         enclosing_capsule(link, np.vstack([shape.vertices for shape in parts]))
         for link, parts in itertools.groupby(shapes, key=lambda shape: shape.link)
     )
-    impossible, text = impossible_pairs(srdf) if srdf else set(), source.text()
+    impossible = impossible_pairs(srdf) if srdf else set()
     try:
         pairs = pairs_worth_testing(text, capsules, home_position, impossible)
         if pairs.floor_depths and home is None:
@@ -205,7 +206,7 @@ def _read_arm(
         )
     assumed = notes_on_assumptions(
         home_position if home is None else None,
-        MAX_ACCELERATION if max_acceleration == (MAX_ACCELERATION,) else None,
+        acceleration if max_acceleration is None else None,
         MAX_JERK if max_jerk == (MAX_JERK,) else None,
     )
     meshes = tuple(shape for shape in shapes if len(shape.triangles)) if builtin else drawn_shapes(source, shapes)
@@ -224,6 +225,12 @@ def _read_arm(
         collision_pairs=pairs.tested,
         notes=notes,
     )
+
+
+def _acceleration(limit: tuple[float, ...] | None, urdf: str, dof: int) -> Array:
+    if limit is None:
+        return possible_accelerations(urdf, MAX_ACCELERATION).round(2)
+    return _limit("max_acceleration", limit, dof)
 
 
 def _limit(name: str, limit: tuple[float, ...], dof: int) -> Array:

@@ -22,6 +22,8 @@ SAMPLES = 1000
 """Random configurations that decide it."""
 
 
+TOUCHING = 0.002
+"""m: links that are nearer at home touch there in effect: no motion from home could keep any clearance between them."""
 FLOOR_MARGIN = 0.02
 """m: least height over the floor, in a home that is chosen, of links that would be in it."""
 UPRIGHT = 1e-9
@@ -74,7 +76,7 @@ def pairs_worth_testing(
 ) -> CollisionPairs:
     """Return pairs of links, or of a link and `FLOOR`, that can touch.
 
-    Excluded are neighbours, pairs in contact at `home`, pairs that are near each other in all configurations (as
+    Excluded are neighbours, pairs within `TOUCHING` at `home`, pairs that are near each other in all configurations (as
     MoveIt's setup assistant finds them, by sampling), and pairs whose joints carry a pair of links in `impossible`.
     """
     model = pinocchio.buildModelFromXML(urdf)
@@ -92,6 +94,8 @@ def pairs_worth_testing(
     turning = [(link.link, FLOOR) for link in capsules if joint_of[link.link] == 1 < lowest_over_floor]
     add_collision_pairs(geometry, [*pairs, *turning])
     data = geometry.createData()
+    for pair, request in zip([*pairs, *turning], data.collisionRequests, strict=True):
+        request.security_margin = 0.0 if FLOOR in pair else TOUCHING
     pinocchio.computeCollisions(model, model.createData(), geometry, data, home, False)
     touches = {
         pair: result.isCollision() for pair, result in zip([*pairs, *turning], data.collisionResults, strict=True)

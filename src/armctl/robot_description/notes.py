@@ -84,15 +84,20 @@ def _weak_joints(model: pinocchio.Model, torques: Array) -> Iterator[str]:
         )
 
 
-def notes_on_assumptions(home: Array | None, acceleration: float | None, jerk: float | None) -> list[str]:
+def notes_on_assumptions(home: Array | None, acceleration: Array | None, jerk: float | None) -> list[str]:
     """Return notes about values that nobody gave, None for those that were given: rad, rad/s^2, rad/s^3."""
     values = {
         "home (rad)": None if home is None else ", ".join(f"{position:g}" for position in home),
-        "acceleration limits (rad/s^2)": acceleration and f"{acceleration:g}",
+        "acceleration limits (rad/s^2)": None if acceleration is None else _listed(acceleration),
         "jerk limits (rad/s^3)": jerk and f"{jerk:g}",
     }
     assumed = [f"{name} {value}" for name, value in values.items() if value is not None]
     return [f"Assumed, since a URDF does not say: {'; '.join(assumed)}."] if assumed else []
+
+
+def _listed(values: Array) -> str:
+    """Return numbers as text, or the one that all are."""
+    return ", ".join(f"{value:g}" for value in (values[:1] if (values == values[0]).all() else values))
 
 
 def note_on_home(home: Array, depths: dict[str, float]) -> str:

@@ -3,6 +3,7 @@
 import reprlib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from xml.parsers import expat
 
 from armctl.core.errors import ConfigurationError, reason
 from armctl.core.files import bounded_bytes
@@ -19,13 +20,11 @@ def read_xml(path: Path) -> Element:
     """Return the root of a URDF or SRDF file; raises `ConfigurationError` if it is neither, or beyond the limits."""
     try:
         content = bounded_bytes(path, MAX_BYTES)
-        root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_Limited(path.name)))
+        root = _parsed(path.name, content)
         if leftover := _of_xacro(root):
             raise ConfigurationError(needs_xacro(path, leftover))
-    except ElementTree.ParseError as error:
-        unbound = "unbound prefix" in str(error) and b"<xacro:" in content
-        problem = needs_xacro(path, "<xacro:...>") if unbound else f"{path.name} cannot be read as XML: {error}"
-        raise ConfigurationError(problem) from error
+    except (ElementTree.ParseError, expat.ExpatError) as error:
+        raise ConfigurationError(f"{path.name} cannot be read as XML: {error}") from error
     except (OSError, ValueError, LookupError) as error:
         if isinstance(error, ConfigurationError):
             raise
@@ -35,6 +34,20 @@ def read_xml(path: Path) -> Element:
             f"{path.name} is not a URDF or SRDF: its root element is <{root.tag[:40]}>, not <robot>"
         )
     return root
+
+
+def _parsed(name: str, content: bytes) -> Element:
+    """Return the root element; prefixes that no `xmlns` declares, which ROS allows, are part of the names."""
+    try:
+        return ElementTree.fromstring(content, ElementTree.XMLParser(target=_Limited(name)))
+    except ElementTree.ParseError as error:
+        if "unbound prefix" not in str(error):
+            raise
+    builder, parser = _Limited(name), expat.ParserCreate()
+    parser.StartDoctypeDeclHandler, parser.CharacterDataHandler = builder.doctype, builder.data
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.Parse(content, True)
+    return builder.close()
 
 
 def needs_xacro(path: Path, leftover: str) -> str:
