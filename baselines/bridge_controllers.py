@@ -43,7 +43,7 @@ SLOWEST = 0.85
 """m/s: speed of the weakest rover, for which it has just the time."""
 SLOW_TURN_RATE = 0.6
 """rad/s, below which a rover has to plan its turns far ahead."""
-FASTEST_PER_ACCELERATION, FASTEST_PER_TURN_RATE = 0.45, 2.5
+FASTEST_PER_ACCELERATION, FASTEST_PER_TURN_RATE = 0.33, 2.5
 """s, m: speed per acceleration and per turn rate."""
 FASTEST_TURN_PER_ACCELERATION = 0.7
 """s/m: turn rate per acceleration, whose limit slippery wheels have to the sides, too."""
