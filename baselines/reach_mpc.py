@@ -187,6 +187,8 @@ class ReachWithMpc:
         way = self._way_to(target, q)
         if not len(way):
             return goal
+        if self._posture is not None:
+            self.mpc.reset()  # a plan that does not move is a local optimum: begin with the straight motion
         self._guided, self._way = True, list(way[1:])
         corners, shares = np.vstack((q, way)), np.linspace(0, 1, WAY_POINTS)[:, None, None]
         self.mpc.follow((corners[:-1] + shares * np.diff(corners, axis=0)).reshape(-1, len(q)), ON_WAY)
