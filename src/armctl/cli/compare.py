@@ -37,6 +37,7 @@ from armctl.cli.options import (
     print_tracebacks,
     progress_bar,
 )
+from armctl.cli.player_options import Filter, Isolate
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -53,14 +54,8 @@ class StudyRequest:
     workers: Workers = 1
     on: On = "local"
     policy_seed: PolicySeed = None
-    isolate: Annotated[
-        bool,
-        typer.Option(
-            "--isolate",
-            help="Play each policy in a process of its own, which gets observations only: no world, no seed. Policies "
-            "that see the true state cannot be isolated.",
-        ),
-    ] = False
+    isolate: Isolate = False
+    filter: Filter = False
     until: Annotated[
         str | None,
         typer.Option(
@@ -322,6 +317,7 @@ def _play(
             "workers": engine,
             "policy_seed": request.policy_seed,
             "isolate": request.isolate,
+            "filter": request.filter,
             "until": request.until,
         }
         plan = make_plan(options)

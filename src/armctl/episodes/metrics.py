@@ -53,6 +53,10 @@ class Metrics:
     decision_ms_max: float
     first_call_ms: float
     """Time of the policy's first decision in its process; NaN if that was in another episode."""
+    intervention_share: float = math.nan
+    """Share of the control steps in which a safety filter changed the action; NaN without a filter."""
+    intervention_size: float = math.nan
+    """Mean change in these steps: the largest of an action's numbers, relative to its range; NaN without any."""
 
 
 class EpisodeTimes(NamedTuple):
@@ -75,8 +79,11 @@ def metrics(
     motions: "Sequence[MotionSample]",
     times: EpisodeTimes,
     solver_failures: int,
+    interventions: tuple[float, float],
 ) -> Metrics:
     """Return metrics of the episode that has just ended in a world; it may have no step, if the policy failed before.
+
+    `interventions` are the number of a safety filter's, NaN without one, and the sum of their sizes.
 
     `start` (3,) m is the robot's initial position, `motions` are those of its control steps.
     """
@@ -103,6 +110,8 @@ def metrics(
         round(float(p99), 4),
         round(float(longest), 4),
         float(decision_ms[0]) if first_call and motions else math.nan,
+        interventions[0] / len(motions) if motions else math.nan,
+        interventions[1] / interventions[0] if interventions[0] > 0 else math.nan,
     )
 
 

@@ -25,7 +25,8 @@ TEXTS = ("policy", "outcome", "run", "terms")
 """Columns of numbers of texts; `terms` is the names of the reward terms, a JSON list."""
 INTEGERS = tuple(name for name, kinds in TYPES.items() if kinds & {int, bool} and name != "seed")
 NUMBERS = tuple(name for name, kinds in TYPES.items() if float in kinds)
-SINCE_FORMAT_2 = ("joint_jerk_max", "joint_jerk_rms", "tip_jerk_max", "tip_jerk_rms")
+SINCE_FORMAT_2 = ("joint_jerk_max", "joint_jerk_rms", "tip_jerk_max", "tip_jerk_rms", "intervention_share",
+                  "intervention_size")  # fmt: skip
 """Numbers that rows of format 1 do not have. They count in a row's checksum where one of them is known."""
 NUMBERS_OF_FORMAT_1 = tuple(name for name in NUMBERS if name not in SINCE_FORMAT_2)
 COLUMNS = (*TEXTS, *INTEGERS, *NUMBERS, "reward_terms", "decision_ms", "checksum")

@@ -26,7 +26,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.files import read_toml
 from armctl.core.options import checked_model
 from armctl.core.registration import files_beside, installed, load_installed
-from armctl.policies.names import GROUP
+from armctl.policies.names import GROUP, without_filter
 
 SUFFIX = ".toml"
 DESCRIPTION = "file of a policy's options"
@@ -69,15 +69,16 @@ def configured(policy: Any) -> PolicyConfiguration | None:
     name, colon, text = str(policy).partition(":")
     if not colon or name not in installed(GROUP).names:
         return None
-    return PolicyConfiguration(policy=name, env="*", options=_options_in(str(policy), text))
+    return PolicyConfiguration(policy=name, env="*", options=options_in(str(policy), text))
 
 
 def is_code(policy: str) -> bool:
     """Return True for the name of code, `module:name`, and not of an installed policy with options."""
+    policy = without_filter(policy)
     return ":" in policy and configured(policy) is None
 
 
-def _options_in(policy: str, text: str) -> dict[str, Any]:
+def options_in(policy: str, text: str) -> dict[str, Any]:
     """Return the options in a policy's name: the content of an inline table of TOML, such as `a=1,b.c=false`."""
     try:
         options: dict[str, Any] = tomllib.loads(f"options = {{{text}}}")["options"]
@@ -106,6 +107,7 @@ def read_configuration(file: Path) -> PolicyConfiguration:
 
 def tuning_of(policy: str) -> TuningCost | None:
     """Return the declared tuning of an expert, by the file that names it or that is beside it; None: nothing."""
+    policy = without_filter(policy)
     configuration = configured(policy)
     if configuration is None and (file := configurations().get(policy)) is not None:
         configuration = read_configuration(file)

@@ -15,8 +15,17 @@ from armctl.agents.costs import UNTRAINED
 from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described
 from armctl.core.registration import import_attribute, load_installed
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, TaskEnv, chosen_policy_seed
-from armctl.policies.configuration import configured, tuning_of
-from armctl.policies.names import GROUP, agent_cards, check_policy_name, declared_sees, policy_names, with_agent
+from armctl.policies.configuration import configured, options_in, tuning_of
+from armctl.policies.names import (
+    FILTERED,
+    GROUP,
+    agent_cards,
+    check_policy_name,
+    declared_sees,
+    policy_names,
+    with_agent,
+    without_filter,
+)
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.trainings import training_card
@@ -24,7 +33,7 @@ from armctl.policies.trainings import training_card
 
 def is_expert(policy: Any) -> bool:
     """Return True if this names an installed policy that works with a model of the robot, a map or the state."""
-    name = str(policy) if isinstance(policy, (str, Path)) else ""
+    name = str(without_filter(policy)) if isinstance(policy, (str, Path)) else ""
     if (configuration := configured(name)) is not None:
         name = configuration.policy
     return name in policy_names() and name not in agent_cards() and declared_sees(name) != "observation"
@@ -72,6 +81,8 @@ def make_policy(
     - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configuration`), or these
       after its name, `reach_mpc:problem.horizon=12`;
     - `NAME[SEED]`, one training of a recipe (see `armctl.policies.trainings`);
+    - `filtered(POLICY)`, any named policy behind the safety filter, whose options may follow,
+      `filtered(reach_ppo):margin=0.02` (see `armctl.policies.filtered`);
     - a function of one world's observation that returns an action;
     - a class with `act(observation)`, and `reset()` if it has memory. Each world gets an instance, made without
       arguments, or with `env` if the constructor has a parameter of that name;
@@ -111,11 +122,12 @@ def make_policy(
 def loaded(policy: Any) -> Any:
     """Return a function, class or object that makes a policy, or is one, of any form that `make_policy` takes.
 
-    Of a learned agent's file or training, return its path. Raises `ConfigurationError` and `AgentFileError`.
+    Of a policy behind the safety filter, return that of the policy. Of a learned agent's file or training, return its
+    path. Raises `ConfigurationError` and `AgentFileError`.
     """
     if not isinstance(policy, (str, Path)):
         return policy
-    name = with_agent(str(policy))
+    name = with_agent(str(without_filter(policy)))
     if Path(name).suffix in FILES:
         return Path(name)
     if (card := training_card(name)) is not None:
@@ -134,6 +146,12 @@ def loaded(policy: Any) -> Any:
 
 
 def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
+    if isinstance(policy, str) and (match := FILTERED.fullmatch(policy)) is not None:
+        check_policy_name(policy)
+        from armctl.policies.filtered import filtered  # compiled arithmetic takes longer to import than the rest
+
+        options = {} if match["options"] is None else options_in(policy, match["options"])
+        return filtered(_make(match["policy"], worlds, streams), worlds, policy, options)
     name = with_agent(str(policy)) if isinstance(policy, (str, Path)) else policy_name(policy)
     source = loaded(policy)
     if isinstance(source, Path):

@@ -4,6 +4,7 @@ import inspect
 import os.path
 import re
 from pathlib import Path
+from typing import Any
 
 from armctl.agents import CARD
 from armctl.core.errors import ConfigurationError, unknown_name
@@ -18,6 +19,8 @@ FORMS = (".json", ".onnx", ".toml", ".zip")
 """Endings of the names of agents, options and models."""
 TRAINING = re.compile(r"(?P<recipe>.+)\[(?P<seed>\*|\d{1,18})\]")
 """Form of the names of one training of a recipe, and of all."""
+FILTERED = re.compile(r"filtered\((?P<policy>.*)\)(?::(?P<options>.*))?", re.DOTALL)
+"""Form of the names of policies behind the safety filter (see `armctl.policies.filtered`), with its options."""
 
 
 def policy_names() -> list[str]:
@@ -45,8 +48,23 @@ def with_agent(name: str) -> str:
     return os.path.join(name, CARD) if name not in policy_names() and os.path.isfile(os.path.join(name, CARD)) else name
 
 
+def without_filter(policy: Any) -> Any:
+    """Return the policy that is behind the safety filter, by its name; any other policy as it is."""
+    match = FILTERED.fullmatch(policy) if isinstance(policy, str) else None
+    return policy if match is None else match["policy"]
+
+
 def check_policy_name(name: str) -> None:
     """Raise `ConfigurationError` for a name that has no form of a policy's."""
+    if (inner := without_filter(name)) != name:
+        if without_filter(inner) != inner or inner.endswith("[*]"):
+            raise ConfigurationError(f"the safety filter takes one policy, filtered(NAME) or filtered(NAME[0]): {name}")
+        name = inner
+    elif name.startswith("filtered("):
+        raise ConfigurationError(
+            f"{name} is read as a policy behind the safety filter, filtered(POLICY) or "
+            "filtered(POLICY):OPTION=VALUE,OPTION=VALUE"
+        )
     if name.endswith(".py"):
         raise ConfigurationError(f"there is no policy {name!r}. Name a function or class in that file: {name}:NAME")
     if not (name in policy_names() or ":" in name or name.endswith(FORMS) or TRAINING.fullmatch(name)):

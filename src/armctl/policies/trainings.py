@@ -14,7 +14,7 @@ from typing import Any
 from armctl.agents import CARD, FILES, AgentCard, read_card
 from armctl.core.errors import AgentFileError, ConfigurationError, unknown_name
 from armctl.core.registration import installed
-from armctl.policies.names import GROUP, TRAINING, agent_cards, with_agent
+from armctl.policies.names import GROUP, TRAINING, agent_cards, with_agent, without_filter
 
 SEEDS = "seeds"
 """Folder of further trainings, beside the shipped one: `NAME-SEED.json` and `.onnx`."""
@@ -124,7 +124,7 @@ def _check_once(players: Mapping[str, Any]) -> None:
     names: dict[str, str] = {}
     for name, policy in players.items():
         card = card_of(policy)
-        if card is None:
+        if card is None or without_filter(policy) != policy:
             continue
         if card.sha256 in names:
             raise ConfigurationError(
@@ -137,6 +137,7 @@ def card_of(policy: Any) -> AgentCard | None:
     """Return the card of a policy, if it is a learned agent's name or file. Raises `AgentFileError`."""
     if not isinstance(policy, (str, Path)):
         return None
+    policy = without_filter(policy)
     path = training_card(str(policy)) or agent_cards().get(str(policy))
     if path is None and Path(policy).suffix in FILES and os.path.isfile(policy):  # also for impossible file names
         path = Path(policy).with_suffix(".json")

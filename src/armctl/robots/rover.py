@@ -93,6 +93,16 @@ class Rover:
         vx, vy, _, _, _, spin = self._qvel[:, self._twist_columns].T
         return np.stack((vx * np.cos(yaw) + vy * np.sin(yaw), spin), axis=1)
 
+    def slip(self, world: int) -> tuple[Array, Array, float]:
+        """Return a rover's true velocity in x and y (2,), the speeds of its wheels' rims (4,), m/s, and its pitch, rad.
+
+        The pitch is positive if its nose is down.
+        """
+        _, _, _, w, x, y, z = self._qpos[world, self._pose_columns]
+        pitch = float(np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0)))
+        velocity = self._qvel[world, self._twist_columns][:2].copy()
+        return velocity, WHEEL_RADIUS * self._qvel[world, self._spin_columns], pitch
+
     @property
     def odometry(self) -> Array:
         """Linear (m/s) and angular velocity (rad/s) from the wheel speeds, (n, 2): wrong as far as they skid."""

@@ -34,6 +34,7 @@ class EpisodeRecorder:
         self._starts = np.zeros((n, 3))
         self._feasible = np.ones(n, dtype=bool)
         self._failures_before = np.zeros(n, dtype=np.int64)
+        self._interventions_before = np.zeros((2, n))
         self._reward_sums: dict[str, NDArray[np.float64]] = {}
         self._returns = np.zeros(n)
         self._decision_ms: list[NDArray[np.float64]] = []
@@ -47,6 +48,7 @@ class EpisodeRecorder:
         self._starts[began] = self._task.motion().position[began]
         self._feasible = infos.get("feasible", self._feasible)
         self._failures_before[began] = self._failures()[began]
+        self._interventions_before[:, began] = self._interventions()[:, began]
         for sums in (self._returns, *self._reward_sums.values()):
             sums[began] = 0.0
         for i in np.flatnonzero(began):
@@ -131,12 +133,19 @@ class EpisodeRecorder:
                     self._timed.slow_down if self._timed.setting == (1, 1) else None,
                 ),
                 int(self._failures()[i] - self._failures_before[i]),
+                tuple((self._interventions() - self._interventions_before)[:, i].tolist()),
             ),
             "worlds": num_envs,
             "workers": workers,
             "reset_ms": float(self._timed.reset_ms[i]),
             "decision_ms": decision_ms,
         }
+
+    def _interventions(self) -> NDArray[np.float64]:
+        """(2, n) number of a safety filter's interventions in each world, and the sums of their sizes; else NaN."""
+        policy = self._timed.policy
+        counts = (getattr(policy, name, np.nan) for name in ("interventions", "intervention_sizes"))
+        return np.array([np.broadcast_to(count, len(self._numbers)) for count in counts], dtype=float)
 
     def _failures(self) -> NDArray[np.int64]:
         """(n,) number of solver failures in each world; 0 for policies that do not count them."""

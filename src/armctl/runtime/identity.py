@@ -22,6 +22,7 @@ from armctl.core.files import short_checksum
 from armctl.core.registration import import_attribute, import_named, load_installed
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
 from armctl.policies import GROUP, Policy, configured, policy_names
+from armctl.policies.names import without_filter
 from armctl.policies.trainings import card_of
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
 from armctl.runtime.folder import differences
@@ -199,7 +200,7 @@ def _definition(policy: Any) -> Any:
     """Return what defines a policy: a function, a class or an object; None for a learned agent's file."""
     if not isinstance(policy, (str, Path)):
         return policy
-    name = str(policy)
+    name = str(without_filter(policy))
     if (configuration := configured(name)) is not None:
         return configuration.make()
     if name in policy_names():

@@ -26,7 +26,7 @@ from armctl.core.plain_values import restored
 from armctl.core.registration import remember_named
 from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, interface_of
 from armctl.policies import Actions, ControllersFailed, configured, policy_names
-from armctl.policies.names import agent_cards, declared_sees
+from armctl.policies.names import agent_cards, declared_sees, without_filter
 from armctl.policies.trainings import card_of
 from armctl.runtime.isolated import ANSWER, Answer, Code, RemoteError
 from armctl.tasks import Observations
@@ -103,6 +103,10 @@ def isolated(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) ->
     Raises `ConfigurationError` for any other policy that sees it, and what `make_policy` raises.
     """
     source: Any = str(policy) if isinstance(policy, Path) else policy
+    if without_filter(source) != source:
+        raise ConfigurationError(
+            f"{name} cannot be isolated: its filter sees the {SEES['state']}, which only the process that plays has"
+        )
     card = agent_cards().get(source) if isinstance(source, str) else None
     process = _Process(name)
     try:

@@ -24,6 +24,8 @@ class StudyOptions(TypedDict, total=False):
     """Play each policy in a process of its own, which gets observations only: no world, seed or episode number (see
     `armctl.runtime.isolation`). Its episodes are the same, and decision times are measured in that process. Installed
     policies that see the true state play as ever, and are named; others that see it are refused."""
+    filter: bool
+    """Play each policy behind the safety filter, as `filtered(NAME)` (see `armctl.policies.filtered`)."""
     until: Literal["decided"] | None
     """`decided`: play in blocks, and stop in each cell when every pair of its verdict is decided, at a level that is
     corrected for the number of cells that are judged together; `episodes` is then the most. What is concluded holds at

@@ -12,7 +12,7 @@ from armctl.core.registration import bare_id, environment_names, remember_named
 from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import full_id, make_worlds
 from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
-from armctl.policies import expanded, is_seed_group, learners, named_policies
+from armctl.policies import check_policy_name, expanded, is_seed_group, learners, named_policies
 from armctl.rollout.loop import check_counts
 from armctl.rollout.real_time import (
     RealTime,
@@ -208,7 +208,8 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
     failures: dict[str, str] = {}
     for name, env in by_name.items():
         try:
-            undisturbed = _undisturbed(line_up(env, size.one_of_each_kind), env, {})
+            filtered: TaskOptions = {"filter": options.get("filter", False)}
+            undisturbed = _undisturbed(line_up(env, size.one_of_each_kind), env, filtered)
             tasks.append(_task_plan(undisturbed, main_disturbances(env, size), None, f"{name}/", shared))
             unusable = unusable_agents(env)
         except ArmctlError as error:
@@ -242,12 +243,20 @@ def _check_decidable(cell: Cell, shared: Mapping[str, Any]) -> None:
 def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:
     env = full_id(env)
     remember_named(env)
-    return Cell(
-        UNDISTURBED,
-        env,
-        environment_options(options),
-        named_policies(default_policies(env) if policies is None else policies),
-    )
+    by_name = named_policies(default_policies(env) if policies is None else policies)
+    if options.get("filter", False):
+        by_name = _filtered(by_name)
+    return Cell(UNDISTURBED, env, environment_options(options), by_name)
+
+
+def _filtered(policies: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all policies behind the safety filter. Raise `ConfigurationError` for one that is not named."""
+    if others := [name for name, policy in policies.items() if not isinstance(policy, (str, Path))]:
+        raise ConfigurationError(f"the safety filter takes policies by name, as in file.py:NAME, not {others[0]}")
+    filtered = {f"filtered({name})": f"filtered({policy})" for name, policy in policies.items()}
+    for policy in filtered.values():
+        check_policy_name(policy)
+    return filtered
 
 
 def _task_plan(

@@ -71,6 +71,10 @@ class Performance:
     since the others have no bounds."""
     solver_failures: int
     """Number of control steps in which the controller's solver failed, if it counts them."""
+    intervention_share: float | None = None
+    """Share of all control steps in which a safety filter changed the action; None without a filter."""
+    intervention_size: float | None = None
+    """Mean change in these steps, relative to the actions' range; None without any."""
     length: Estimate | None = None
     """Mean number of control steps, over all episodes."""
     clean_success: Estimate | None = None
@@ -114,6 +118,14 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     def learned(self) -> bool:
         """True if it was trained."""
         return self.training.steps > 0 or self.kind == "learned"
+
+    @property
+    def interventions(self) -> list[str]:
+        """How often and how much a safety filter changed its actions, in words; nothing without a filter."""
+        if self.intervention_share is None:
+            return []
+        size = "" if self.intervention_size is None else f", by {100 * self.intervention_size:.2g} % of its range"
+        return [f"safety filter: action changed in {100 * self.intervention_share:.2g} % of the control steps{size}"]
 
     @property
     def effort(self) -> list[str]:
@@ -238,6 +250,8 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits, unknown: C
     won = results[results.won]
     returns = scores("episode_return")
     finite = bool(np.isfinite(returns).all())
+    changed = results.column("intervention_share") * results.column("length")
+    sizes = results.column("intervention_size")[changed > 0] * changed[changed > 0]
     steps = (1.0, float(limits.steps)) if limits.steps else None
     has_contacts = None not in results.column("contacts").tolist()
     efficiency, has_steps = scores("efficiency"), "steps" not in unknown
@@ -249,6 +263,8 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits, unknown: C
         tracking_error=_mean(_finite(results.column("tracking_error"))),
         metrics={name: _mean_metric(name, won if scored else results, limits.steps) for name in METRICS},
         solver_failures=sum(results.column("solver_failures").tolist()),
+        intervention_share=_ratio(np.nansum(changed), results.column("length")[~np.isnan(changed)].sum()),
+        intervention_size=_ratio(sizes.sum(), changed[changed > 0].sum()),
         length=_mean(scores("length"), steps) if has_steps else None,
         clean_success=success_rate(scores("clean_success") == 1) if scored and has_contacts else None,
         worst_decile=worst_decile(returns, limits.returns) if finite else None,
@@ -256,6 +272,11 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits, unknown: C
         restricted_steps=_mean(scores("restricted_steps"), steps) if scored and limits.steps else None,
         efficiency=bounded_mean(efficiency, (0.0, 1.0)) if scored and np.isfinite(efficiency).all() else None,
     )
+
+
+def _ratio(total: float, count: float) -> float | None:
+    """Return a mean; None if it is of nothing."""
+    return float(total / count) if count else None
 
 
 def _of_group(

@@ -168,8 +168,8 @@ def details(policy: PolicySummary) -> Remark:
             facts.append(f"construction {policy.construction_ms:.3g} ms")
     if policy.isolated:
         facts.append("isolated: decision times as measured in its own process")
-    if policy.solver_failures:
-        facts.append(f"solver failures: {policy.solver_failures}")
+    facts += [f"solver failures: {policy.solver_failures}"] * (policy.solver_failures > 0)
+    facts += policy.interventions
     if policy.missed_deadlines:
         facts.append(f"deadlines missed: {100 * policy.missed_deadlines:.2g} %")
     return Remark("; ".join(facts))

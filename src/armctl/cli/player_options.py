@@ -1,0 +1,21 @@
+"""Options of verbs that compare: what stands between a policy and its worlds."""
+
+from typing import Annotated
+
+import typer
+
+Isolate = Annotated[
+    bool,
+    typer.Option(
+        "--isolate",
+        help="Play each policy in a process of its own, which gets observations only: no world, no seed. Policies "
+        "that see the true state cannot be isolated.",
+    ),
+]
+Filter = Annotated[
+    bool,
+    typer.Option(
+        "--filter",
+        help='Play each policy behind the safety filter; for one alone, `"filtered(reach_ppo):margin=0.02"`.',
+    ),
+]

@@ -1,0 +1,218 @@
+"""Any policy behind a safety filter, which changes actions after which a contact could no longer be avoided.
+
+`filtered(NAME)` is such a policy. The filter knows the robot's limits and shape, and sees where it is and what is
+around it (`armctl.control.arm_filter`, `armctl.control.rover_filter`); the policy behind it gets what it declares to
+see.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.control.arm_filter import ArmFilter
+from armctl.control.rover_filter import RoverFilter
+from armctl.core.arrays import Array, Observations
+from armctl.core.errors import ConfigurationError
+from armctl.core.options import NonNegative, changed_options, options
+from armctl.envs import EpisodeVectorEnv, Interface, TaskVectorEnv
+from armctl.kernels.rover_filter import Rover
+from armctl.kinematics import ArmModel, ArmShapes
+from armctl.policies.policy import Actions, ControllersFailed, Policy
+from armctl.policies.privilege import channels_read
+from armctl.robots.rover import (
+    MAX_VELOCITY,
+    MAX_WHEEL_SPEED,
+    PARTS,
+    PREFIX,
+    TRACK,
+    WHEEL_RADIUS,
+    WHEEL_SEPARATION_MULTIPLIER,
+    WHEELS,
+)
+from armctl.scene import NO_BOXES
+from armctl.tasks import BridgeTask, ReachTask
+from armctl.tasks.bridge import CONTROL_PERIOD
+
+GRAVITY, FRICTION, SLIP = 9.81, 0.85, 0.1
+"""m/s^2; the share of the tyres' friction that counts on soft tyres, and m/s from which on it is full, as fitted to the
+simulated rover."""
+
+
+@options
+class ArmFilterOptions:
+    """Options of the safety filter of arms."""
+
+    margin: NonNegative = 0.01
+    """m kept from boxes, floor and the arm itself, at rest; fast motions keep more."""
+
+
+@options
+class RoverFilterOptions:
+    """Options of the safety filter of rovers."""
+
+    margin: NonNegative = 0.06
+    """m kept from sides, blocks and people."""
+    drift: NonNegative = 0.02
+    """m/s by which the margin to people grows with the time ahead: what they do otherwise than predicted."""
+
+
+class Filters(Protocol):
+    """Safety filters of n worlds."""
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Begin new episodes in worlds `ids`."""
+
+    def act(self, world: int, action: Array) -> Array:
+        """Return a world's action if it is safe, or else a near one that is."""
+
+
+def filtered(policy: Policy, env: EpisodeVectorEnv | Interface, name: str, chosen: Mapping[str, Any]) -> "Filtered":
+    """Return a policy behind the filter of an environment, with options by name.
+
+    Raises `ConfigurationError` for an environment without a filter.
+    """
+    if not isinstance(env, TaskVectorEnv) or not isinstance(env.task, (ReachTask, BridgeTask)):
+        raise ConfigurationError(f"{name}: the safety filter is for armctl's own tasks of reaching and of the bridge")
+    if env.normalized:
+        raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
+    filters: Filters
+    if isinstance(env.task, ReachTask):
+        filters = ArmFilters(env.task, changed_options(ArmFilterOptions(), chosen, f"option of {name}"))
+    else:
+        filters = RoverFilters(env, changed_options(RoverFilterOptions(), chosen, f"option of {name}"))
+    return Filtered(policy, filters, env)
+
+
+class Filtered:
+    """A policy whose actions in n worlds pass a filter."""
+
+    sees: Any = "state"
+
+    def __init__(self, policy: Policy, filters: Filters, env: TaskVectorEnv) -> None:
+        self._policy, self._filters = policy, filters
+        self.foresight = tuple(dict.fromkeys((*getattr(policy, "foresight", ()), *env.task.foresight)))
+        self.reads = tuple(dict.fromkeys((*channels_read(policy), "state")))
+        self.training_steps = policy.training_steps
+        for fact in ("training_minutes", "training_cost", "family"):
+            if hasattr(policy, fact):
+                setattr(self, fact, getattr(policy, fact))
+        self._shape, self._range = env.single_action_space.shape, np.ptp(env.task.action_range, axis=0)
+        self.interventions = np.zeros(env.num_envs, dtype=np.int64)
+        """(n,) number of actions that were changed in each world."""
+        self.intervention_sizes = np.zeros(env.num_envs)
+        """(n,) sum of these changes: the largest of an action's numbers, relative to its range."""
+
+    @property
+    def failures(self) -> Any:
+        """Number of solver failures in each world, of the policy behind the filter."""
+        return getattr(self._policy, "failures", 0)
+
+    def plans(self, world: int) -> Mapping[str, Array]:
+        """Return the plans of the policy behind the filter."""
+        return dict(getattr(self._policy, "plans", lambda world: {})(world))
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Begin new episodes in worlds `ids`. Raises what the policy raises."""
+        self._filters.reset(ids)
+        self._policy.reset(ids)
+
+    def act(self, observations: Observations) -> Actions:
+        """Return safe actions (n, ...). Raises what the policy raises."""
+        try:
+            return np.array(self._safe(self._policy.act(observations)))
+        except ControllersFailed as error:
+            raise ControllersFailed(error.errors, self._safe(error.actions)) from error
+
+    def _safe(self, actions: Any) -> list[Any]:
+        return [self._safe_in(i, action) for i, action in enumerate(actions)]
+
+    def _safe_in(self, world: int, action: Any) -> Any:
+        """Return a world's safe action; one that is invalid stays as it is, and is told of by others."""
+        if np.shape(action) != self._shape or not np.isfinite(action := np.array(action, dtype=float)).all():
+            return action
+        safe = self._filters.act(world, action)
+        if safe is not action:
+            self.interventions[world] += 1
+            self.intervention_sizes[world] += (np.abs(safe - action) / self._range).max()
+        return safe
+
+
+class ArmFilters:
+    """Filters of n arms. Raises `ConfigurationError` for torques."""
+
+    def __init__(self, task: ReachTask, chosen: ArmFilterOptions) -> None:
+        self._control = control = task.options.control
+        if control == "torque":
+            raise ConfigurationError("the safety filter of arms goes by their drives, which control='torque' has not")
+        self._task, self._margin = task, chosen.margin
+        self._shapes, self._to_positions = ArmShapes(ArmModel(task.robot)), control in ("position", "relative")
+        self._filters: dict[int, ArmFilter] = {}
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Begin new episodes in worlds `ids`, among new boxes."""
+        task = self._task
+        for i in ids.tolist():
+            boxes = getattr(task, "boxes", lambda world: NO_BOXES)(i)
+            self._filters[i] = ArmFilter(
+                self._shapes, boxes, task.robot.home, to_positions=self._to_positions, margin=self._margin,
+                period=task.control_period,
+            )  # fmt: skip
+
+    def act(self, world: int, action: Array) -> Array:
+        """Return an action (dof,) if it is safe, or else a near one that is."""
+        arm, limits = self._task.arm, self._task.robot.limits
+        q, commands = arm.joint_positions[world].copy(), arm.commands[world]
+        origin = {"relative": q}.get(self._control, 0.0)
+        scale = arm.period if self._control == "delta" else 1.0
+        proposal = np.clip(action, arm.action_low, arm.action_high) / scale + origin
+        if self._to_positions:
+            proposal = np.clip(proposal, limits.lower, limits.upper)
+        command = self._filters[world](commands[: len(q)].copy(), commands[len(q) :].copy(), q, proposal)
+        return action if np.array_equal(command, proposal) else (command - origin) * scale
+
+
+class RoverFilters:
+    """Filters of n rovers. Raises `ConfigurationError` without physics."""
+
+    def __init__(self, env: TaskVectorEnv, chosen: RoverFilterOptions) -> None:
+        task = env.task
+        if task.options.dynamics != "physics":
+            raise ConfigurationError("the safety filter of rovers is for wheels that slide: use dynamics='physics'")
+        self._env, self._task, self._chosen = env, task, chosen
+        self._rover = rover_model(task.simulation.model)
+        self._filters: dict[int, RoverFilter] = {}
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Begin new episodes in worlds `ids`."""
+        for i in ids.tolist():
+            self._filters[i] = RoverFilter(self._rover, margin=self._chosen.margin, drift=self._chosen.drift)
+
+    def act(self, world: int, action: Array) -> Array:
+        """Return an action (2,) if it is safe, or else a near one that is."""
+        perceived, state = self._env.perceived(), np.empty(10)
+        pose, (ahead, turn) = perceived.state.poses[world], perceived.state.velocities[world]
+        velocity, rims, pitch = self._task.rover.slip(world)
+        sideways = velocity[1] * np.cos(pose[2]) - velocity[0] * np.sin(pose[2])
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        state[:3], state[5], state[6:] = pose, turn, rims
+        state[3:5] = ahead * cos - sideways * sin, ahead * sin + sideways * cos
+        return self._filters[world](perceived.map(world), state, pitch, float(self._task.state.time[world]), action)
+
+
+def rover_model(model: Any) -> Rover:
+    """Return how a rover of a world's model slides."""
+    wheels = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
+    base, wheel = model.geom(PREFIX + "base"), model.geom(PREFIX + WHEELS[0])
+    ids = [model.body(PREFIX + name).id for name in PARTS]
+    mass = float(model.body_mass[ids].sum())
+    moment = float(np.sum(model.body_mass[ids[1:]] * (wheels**2).sum(axis=1))) + float(model.body_inertia[ids[0]].max())
+    spin = float(model.body_inertia[ids[1]].max() + model.dof_armature[model.joint(PREFIX + WHEELS[0]).dofadr[0]])
+    grip = FRICTION * float(wheel.friction[0]) * GRAVITY
+    return Rover(
+        wheels, np.array([base.size[:2], wheels.max(axis=0) + wheel.size[:2]]), moment / mass, grip, SLIP,
+        float(model.actuator_forcerange[model.actuator(PREFIX + WHEELS[0]).id, 1]) * WHEEL_RADIUS / spin,
+        grip * mass / 4 * WHEEL_RADIUS**2 / spin, MAX_WHEEL_SPEED * WHEEL_RADIUS,
+        TRACK * WHEEL_SEPARATION_MULTIPLIER / 2, MAX_VELOCITY, CONTROL_PERIOD,
+    )  # fmt: skip
