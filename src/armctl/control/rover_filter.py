@@ -27,6 +27,8 @@ ESCAPES = np.array([[0.0, 0.0], [0.6, 0.0], [1.4, 0.0], [-0.6, 0.0], [0.0, 1.5],
 """Other commands (n, 2) that are tried, m/s and rad/s."""
 SHARES = (1.0, 0.5, 0.1)
 """Shares of the margins that are tried in turn, when a rover has slid farther than the model says."""
+RECOVERY = 0.5
+"""Share of the margin below which a rover first gets away, whatever is proposed."""
 STEEP, LIFTING = 0.15, 0.2
 """rad and m/s: a rover on two wheels is not to speed up or brake by more, which would lift the others further."""
 TICKS = kernel.SUBSTEPS // kernel.CHECKED
@@ -66,11 +68,15 @@ class RoverFilter:
         world = self._surroundings(bridge, state, time)
         fallback = np.array(kernel.command_of(self._backup, self._step, state[2]))
         ahead = float(state[3] * np.cos(state[2]) + state[4] * np.sin(state[2]))
-        chosen = None if lifts(proposal, ahead, pitch) else self._choose(world, state, proposal[None])
+        is_near = min(world.margin, world.people_margin) < RECOVERY * self._margin
+        risky = is_near or lifts(proposal, ahead, pitch)
+        chosen = None if risky else self._choose(world, state, proposal[None])
         if chosen is None:
             mixed = [share * proposal + (1 - share) * fallback for share in MIXED]
             others = np.vstack((mixed, ESCAPES, (ahead, proposal[1]), (ahead, 0.0)))
             distances = np.linalg.norm((others - proposal) / self._rover.max_velocity, axis=1)
+            if is_near:
+                distances = -np.array([self._clearance_after(world, state, other) for other in others])
             distances += 10.0 * np.array([lifts(other, ahead, pitch) for other in others])
             others = others[np.argsort(distances, kind="stable")]
             tried = (self._choose(tightened(world, share), state, others) for share in SHARES)
@@ -89,6 +95,15 @@ class RoverFilter:
         self._backup = kernel.Backup(int(self._ways[b]), int(self._periods[b]), float(speed), float(angular))
         self._step = 0
         return np.asarray(actions[a])
+
+    def _clearance_after(self, world: kernel.Surroundings, start: Array, command: Array) -> float:
+        """Return the distance (m) from everything after a period under a command."""
+        state, rims, row = start.copy(), np.empty(2), np.empty(10)
+        kernel.rims_of(self._rover, command[0], command[1], rims)
+        kernel.move(self._rover, state, rims, kernel.SUBSTEPS)
+        people = np.hstack((world.people[TICKS], world.people[TICKS]))
+        apart = kernel.people_clearance(self._rover, state, people, world.radius, row)
+        return float(min(kernel.clearance(self._rover, world, state, row), apart))
 
     def _surroundings(self, bridge: BridgeMap, state: Array, time: float) -> kernel.Surroundings:
         people, row = bridge.pedestrians, np.empty(10)
