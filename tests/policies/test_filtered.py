@@ -1,6 +1,7 @@
 """Policies behind the safety filter: random actions touch nothing, and actions far from everything stay as they are."""
 
 import functools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,7 +94,7 @@ def test_drives_stop_where_the_braking_command_says():
     [(REACH, "position"), (REACH, "relative"), (OBSTACLES, "position"), (OBSTACLES, "delta"), (OBSTACLES, "velocity")],
 )
 def test_random_actions_of_an_arm_touch_nothing(env, control):
-    options = {"env_options": {"control": control}, "worlds": 20, "policy_seed": 1}
+    options: Any = {"env_options": {"control": control}, "worlds": 20, "policy_seed": 1}
     episodes = compare(["filtered(random)", "random"], env, episodes=20, seed=300, **options)
     safe, random = (sum(one.metrics.contacts for one in played) for played in episodes.results.by_policy().values())
     assert (safe, random > 0) == (0, True)
@@ -127,7 +128,7 @@ def test_interventions_are_told_of():
 
 def test_it_shows_what_it_and_the_policy_see_and_cost():
     worlds = make_worlds(MOVING, 1, {"observation": "paper"})
-    policy = make_policy("filtered(bridge_moving_ppo):margin=0.1", worlds)
+    policy: Any = make_policy("filtered(bridge_moving_ppo):margin=0.1", worlds)
     assert (policy.sees, policy.foresight) == ("state", ("pedestrians",))
     assert policy.training_steps > 0
 
