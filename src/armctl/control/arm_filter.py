@@ -17,7 +17,7 @@ from armctl.kinematics.records import box_records
 from armctl.robot_description.joint_profiles import TICK
 from armctl.scene import Boxes
 
-LAG = 0.02
+LAG = 0.003
 """s by which joints are late behind their drives at most, if their motors are at the limit of their torque."""
 
 
