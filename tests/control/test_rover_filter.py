@@ -19,6 +19,10 @@ def state_at(x, y, yaw, speed=0.0):
     return np.array([x, y, yaw, speed * np.cos(yaw), speed * np.sin(yaw), 0.0, *[speed] * 4])
 
 
+def a_filter():
+    return RoverFilter(ROVER, margin=0.06, people_margin=0.1, drift=0.02)
+
+
 def test_wheels_slide_as_in_mujoco():
     """Random commands, then braking: nine in ten rovers are within 5 cm and 0.1 rad of the prediction."""
     task, rng = WORLDS.task, np.random.default_rng(0)
@@ -66,7 +70,7 @@ def test_clearance_is_that_of_sampled_outlines(seed):
 
 @pytest.mark.parametrize(("yaw", "side"), [(np.pi / 2, 1.0), (-np.pi / 2, -1.0), (np.pi, 0.0)])
 def test_it_stops_before_a_side_and_an_end(yaw, side):
-    safe, bridge, rims = RoverFilter(ROVER, margin=0.06, drift=0.0), BridgeMap(8.0, 1.5, np.zeros((0, 5))), np.empty(2)
+    safe, bridge, rims = a_filter(), BridgeMap(8.0, 1.5, np.zeros((0, 5))), np.empty(2)
     state, changed = state_at(1.5, 0.0, yaw), 0
     for step in range(60):
         command = safe(bridge, state, 0.0, 0.1 * step, np.array((2.0, 0.0)))
@@ -79,8 +83,26 @@ def test_it_stops_before_a_side_and_an_end(yaw, side):
     assert side * state[1] > 0.8 or side == 0.0
 
 
+@pytest.mark.parametrize("yaw", [0.0, 0.1, -0.1, np.pi - 0.1])
+def test_a_rover_too_near_to_a_side_gets_away_before_a_proposal_passes(yaw):
+    safe, bridge, rims = a_filter(), BridgeMap(8.0, 1.5, np.zeros((0, 5))), np.empty(2)
+    world, state = safe._surroundings(bridge, 0.0), state_at(4.0, 0.0, yaw)
+    proposal, passed = np.array((0.3, 0.0)), 0
+    state[1] = kernel.clearance(ROVER, world, state, np.empty(10)) - 0.03
+    for step in range(20):
+        command = safe(bridge, state, 0.0, 0.1 * step, proposal)
+        kernel.rims_of(ROVER, *command, rims)
+        kernel.move(ROVER, state, rims, kernel.SUBSTEPS)
+        clearance = kernel.clearance(ROVER, world, state, np.empty(10))
+        assert clearance > 0.01
+        assert command is not proposal or clearance >= 0.06
+        assert step > 0 or command is not proposal
+        passed += command is proposal
+    assert passed > 0
+
+
 def test_what_is_safe_stays_as_it_is_and_wheels_do_not_rise():
-    safe, bridge = RoverFilter(ROVER, margin=0.06, drift=0.02), BridgeMap(20.0, 1.5, np.zeros((0, 5)))
+    safe, bridge = a_filter(), BridgeMap(20.0, 1.5, np.zeros((0, 5)))
     proposal = np.array((1.0, 0.2))
     assert safe(bridge, state_at(5.0, 0.0, 0.0, 1.0), 0.0, 0.0, proposal) is proposal
     assert lifts(np.array((-1.0, 0.0)), 1.0, 0.3)

@@ -25,6 +25,8 @@ STANDING = 0.03
 """m/s: a rover whose corners and rims are slower stands."""
 MAX_PERIODS = 14
 """Periods after which a braking rover that still moves counts as unsafe."""
+ENOUGH = 0.15
+"""m: clearance from which on more is no better."""
 
 
 class Rover(NamedTuple):
@@ -67,7 +69,7 @@ class Surroundings(NamedTuple):
     radius: float
     """m: radius of each."""
     margin: float
-    """m kept from everything that stands, or the present distance if that is less."""
+    """m kept from everything that stands."""
     people_margin: float
     """m kept from people now."""
     drift: float
@@ -183,41 +185,50 @@ def stands(rover, state):
 
 
 @compiled
-def ends_safely(rover, world, start, linear, angular, backup):
-    """Return True if a rover keeps clear in a period under a command, then in a back-up, and where it stands at last.
+def worth(rover, world, start, linear, angular, backup):
+    """Return how far a rover keeps clear in a period under a command, then in a back-up; -inf if that is unsafe.
 
-    There, nobody walks by.
+    That is its least clearance, and the one where it stands at last, where nobody walks by: m, each up to `ENOUGH`.
     """
     state, rims, row, points = start.copy(), np.empty(2), np.empty(10), np.empty((len(world.lanes), 4))
-    last = 1 + backup.periods + MAX_PERIODS
+    last, least = 1 + backup.periods + MAX_PERIODS, ENOUGH
     for k in range(last):
         if k > 0:
             linear, angular = command_of(backup, k - 1, state[2])
         rims_of(rover, linear, angular, rims)
         for part in range(SUBSTEPS // CHECKED):
             move(rover, state, rims, CHECKED)
-            if clearance(rover, world, state, row) < world.margin:
-                return False
+            still = clearance(rover, world, state, row)
+            if still < world.margin:
+                return -np.inf
             tick = k * (SUBSTEPS // CHECKED) + part + 1
             people_now(world, tick, points)
-            margin = world.people_margin + world.drift * tick * rover.period * CHECKED / SUBSTEPS
-            if people_clearance(rover, state, points, world.radius, row) < margin:
-                return False
+            apart = people_clearance(rover, state, points, world.radius, row)
+            if apart < world.people_margin + world.drift * tick * rover.period * CHECKED / SUBSTEPS:
+                return -np.inf
+            least = min(least, still, apart)
         if k > backup.periods and stands(rover, state):
-            return people_clearance(rover, state, world.lanes, world.radius, row) >= world.people_margin
-    return False
+            apart = people_clearance(rover, state, world.lanes, world.radius, row)
+            at_last = min(clearance(rover, world, state, row), apart, ENOUGH)
+            return least + at_last if apart >= world.people_margin else -np.inf
+    return -np.inf
 
 
 @compiled
-def first_safe(rover, world, state, actions, ways, periods, speeds):
-    """Return the first of `actions` (n, 2) after which there is a safe back-up, and that one; -1: there is none.
+def choose(rover, world, state, actions, backups, is_first):
+    """Return the first of `actions` (n, 2) after which there is a safe back-up, or that of most worth, and the back-up.
 
-    Back-ups (m,) are ways, periods and linear velocities. Those that hold a command hold the action.
+    -1: there is none. Those of `backups` that hold a command hold the action.
     """
+    ways, periods, speeds = backups
+    best, chosen, follows = -np.inf, -1, -1
     for a in range(len(actions)):
         linear, angular = actions[a, 0], actions[a, 1]
         for b in range(len(ways)):
             speed = linear if ways[b] == HOLD else speeds[b]
-            if ends_safely(rover, world, state, linear, angular, Backup(ways[b], periods[b], speed, angular)):
-                return a, b
-    return -1, -1
+            value = worth(rover, world, state, linear, angular, Backup(ways[b], periods[b], speed, angular))
+            if value > best:
+                best, chosen, follows = value, a, b
+                if is_first:
+                    return chosen, follows
+    return chosen, follows

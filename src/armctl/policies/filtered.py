@@ -53,7 +53,9 @@ class RoverFilterOptions:
     """Options of the safety filter of rovers."""
 
     margin: NonNegative = 0.06
-    """m kept from sides, blocks and people."""
+    """m kept from sides and blocks."""
+    people_margin: NonNegative = 0.1
+    """m kept from people."""
     drift: NonNegative = 0.02
     """m/s by which the margin to people grows with the time ahead: what they do otherwise than predicted."""
 
@@ -187,7 +189,10 @@ class RoverFilters:
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Begin new episodes in worlds `ids`."""
         for i in ids.tolist():
-            self._filters[i] = RoverFilter(self._rover, margin=self._chosen.margin, drift=self._chosen.drift)
+            self._filters[i] = RoverFilter(
+                self._rover, margin=self._chosen.margin, people_margin=self._chosen.people_margin,
+                drift=self._chosen.drift,
+            )  # fmt: skip
 
     def act(self, world: int, action: Array) -> Array:
         """Return an action (2,) if it is safe, or else a near one that is."""
