@@ -152,7 +152,7 @@ def _check(verb, arguments):
     env = given.get("env")
     assert env is None or ":" in env or env in gymnasium.registry, env
     named = [*(given.get("policies") or ()), *(given.get("agents") or ()), given.get("policy"), given.get("teacher")]
-    for policy in (one.partition("[")[0] for one in named if one):
+    for policy in (re.sub(r"^filtered\((.*?)\).*", r"\1", one).partition("[")[0] for one in named if one):
         assert re.search(r"[:/.]", policy) or policy in policy_names(), policy
     if "recipe" in given:
         assert given["recipe"].endswith(".toml") or given["recipe"] in [*recipe_names(), *learner_names()]

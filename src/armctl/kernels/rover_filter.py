@@ -191,7 +191,7 @@ def worth(rover, world, start, linear, angular, backup):
     That is its least clearance, and the one where it stands at last, where nobody walks by: m, each up to `ENOUGH`.
     """
     state, rims, row, points = start.copy(), np.empty(2), np.empty(10), np.empty((len(world.lanes), 4))
-    last, least = 1 + backup.periods + MAX_PERIODS, ENOUGH
+    last, nearest = 1 + backup.periods + MAX_PERIODS, ENOUGH
     for k in range(last):
         if k > 0:
             linear, angular = command_of(backup, k - 1, state[2])
@@ -206,11 +206,11 @@ def worth(rover, world, start, linear, angular, backup):
             apart = people_clearance(rover, state, points, world.radius, row)
             if apart < world.people_margin + world.drift * tick * rover.period * CHECKED / SUBSTEPS:
                 return -np.inf
-            least = min(least, still, apart)
+            nearest = min(nearest, still, apart)
         if k > backup.periods and stands(rover, state):
             apart = people_clearance(rover, state, world.lanes, world.radius, row)
             at_last = min(clearance(rover, world, state, row), apart, ENOUGH)
-            return least + at_last if apart >= world.people_margin else -np.inf
+            return nearest + at_last if apart >= world.people_margin else -np.inf
     return -np.inf
 
 

@@ -121,7 +121,7 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
     @property
     def interventions(self) -> list[str]:
-        """How often and how much a safety filter changed its actions, in words; nothing without a filter."""
+        """Share and size of the changes that a safety filter made, in words; nothing without a filter."""
         if self.intervention_share is None:
             return []
         size = "" if self.intervention_size is None else f", by {100 * self.intervention_size:.2g} % of its range"
