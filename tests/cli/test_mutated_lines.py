@@ -44,6 +44,7 @@ POLICY_SEEDS = [("--policy-seed", text) for text in ("0", "7", str(2**127))]
 SEEDS = [("--seed", "0"), ("--seed", "7"), ("--seed", str(10**8 - 1))]
 WORLDS, WORKERS = [("--worlds", "1"), ("--worlds", "3")], [("--workers", "1"), ("--on", "local")]
 ISOLATED, EARLY = [("--isolate",)], [("--until", "decided", "--at-most", "3")]
+FILTERED = [("--filter",)]
 OUT = [("--out", "new"), ("--out", "new/deeper"), ("--out", "results", "--overwrite")]
 ROBOTS = [("--robot", "ur5"), ("--robot", "ur10")]
 OPTIONS = [("--set", "tolerance=0.1"), ("--set", "control=position"), ("--set", "render_mode=rgb_array")]
@@ -56,12 +57,12 @@ LINES: dict[str, Any] = {
         [("random", "odd.py:still"), ("--episodes", "1"), ARM, SHORT],
         [*PLAYED, [("--baseline", "random")], [("--margin", "2")], [("--report",)], [("--success-return", "-1")],
          [("--return-bounds", "-9", "9")], [("--real-time", "0.01"), ("--slow-down", "1")],
-         EARLY, ISOLATED],
+         EARLY, ISOLATED, FILTERED],
     ),
     "sweep": (
         [("random",), ("--episodes", "1"), ARM, SHORT, ("--disturbance", "delay=1")],
         [*PLAYED, DISTURBED, [("--success-return", "-1")], [("--return-bounds", "-9", "9")],
-         [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], EARLY, ISOLATED],
+         [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], EARLY, ISOLATED, FILTERED],
     ),
     "plan": (
         [("--detect", "10")],
@@ -106,7 +107,7 @@ LINES: dict[str, Any] = {
     "pull": ([("owner/name",)], [[("--out", "new")], [("--overwrite",)]]),
     "suite": (
         [ODD, ("--episodes", "1")],
-        [[("--quick",)], SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, EARLY, ISOLATED],
+        [[("--quick",)], SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, EARLY, ISOLATED, FILTERED],
     ),
     "tune": (
         [("reach_mpc",), ("--trials", "1"), ("--episodes", "1"), ("--out", "new"), ARM],
