@@ -44,7 +44,7 @@ SLOWEST = 0.85
 SLOW_TURN_RATE = 0.6
 """rad/s, below which a rover has to plan its turns far ahead."""
 FASTEST_PER_ACCELERATION, FASTEST_PER_TURN_RATE = 0.33, 2.5
-"""s, m: speed per acceleration and per turn rate."""
+"""s, m: speed per acceleration that is less than a nominal rover's, and per turn rate."""
 FASTEST_TURN_PER_ACCELERATION = 0.7
 """s/m: turn rate per acceleration, whose limit slippery wheels have to the sides, too."""
 
@@ -104,9 +104,11 @@ def map_distance(first: BridgeMap, second: BridgeMap) -> float:
 def limits_of(response: DriveResponse, world: int, noisy: bool) -> DriveLimits:
     """Return what a rover of this response may do: weak and slippery ones drive slowly."""
     (linear, angular), turn_rate = response.acceleration[world].tolist(), float(response.speed[world, 1])
+    speed = FASTEST_PER_TURN_RATE * turn_rate
     if linear >= PROBED_ACCELERATION:
         linear = MAX_ACCELERATION / LIMIT_SHARE
-    speed = min(FASTEST_PER_ACCELERATION * linear, FASTEST_PER_TURN_RATE * turn_rate)
+    else:
+        speed = min(speed, FASTEST_PER_ACCELERATION * linear)
     return DriveLimits(
         max_speed=float(np.clip(speed, SLOWEST, MAX_VELOCITY[0])),
         max_turn_rate=min(MAX_TURN_RATE, turn_rate, FASTEST_TURN_PER_ACCELERATION * linear),

@@ -29,7 +29,7 @@ PAGES = {
     "resolved_rate": ("reach_rate",),
     "impedance": ("reach_impedance",),
     "sampling": ("reach_mppi", "bridge_mppi"),
-    "floors_bridge": ("bridge_pursuit", "bridge_dwa", "bridge_orca"),
+    "floors_bridge": ("bridge_orca",),
     "sensors_alone": ("bridge_lidar_ompl",),
 }  # fmt: skip
 """The policies of each page's figure."""
