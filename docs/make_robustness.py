@@ -43,6 +43,7 @@ COLOUR_COUNT = 64
 class Sweep:
     """A sweep as it is published."""
 
+    env: str
     policies: list[str]
     cells: list[str]
     success: Array
@@ -53,6 +54,7 @@ class Sweep:
         rows = [self.policies.index(name) for name in policies]
         played = np.isfinite(self.success[rows, :, 0]).any(axis=0)
         return Sweep(
+            self.env,
             list(policies),
             [self.cells[i] for i in np.flatnonzero(played)],
             self.success[rows][:, played],
@@ -91,7 +93,13 @@ def _sweep(block: str) -> Sweep:
             )
         ]
     )
-    return Sweep([row[0].strip("`") for row in values], rows[0][1:], success)
+    env = re.search(r"--env armctl/(\S+)", block)
+    return Sweep(
+        env[1] if env else "ArmReach-v0",
+        [row[0].strip("`") for row in values],
+        rows[0][1:],
+        success,
+    )
 
 
 def _number(text: str) -> float:
@@ -132,6 +140,7 @@ def draw(page: str, published: list[Sweep]) -> None:
                 color=COLOURS[i], label=name,
             )  # fmt: skip
         axes.set_xticks(place, part.cells, rotation=40, ha="right")
+        axes.set_title(sweep.env, fontsize="medium", loc="left")
         axes.set_ylim(-4, 104)
         axes.set_ylabel("success, %")
         axes.grid(axis="y", color="#e5e5e5")

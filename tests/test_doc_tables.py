@@ -5,6 +5,7 @@ import re
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from armctl import DEFAULT_ENV
@@ -95,6 +96,22 @@ def test_every_figure_of_a_policy_comes_from_a_command():
 
 def test_no_table_is_older_than_a_policy_that_it_shows():
     assert list(runpy.run_path(str(ROOT / "benchmarks/tables.py"))["stale_blocks"]()) == []
+
+
+def test_the_experts_figures_show_the_published_sweeps():
+    figures = runpy.run_path(str(ROOT / "docs/make_robustness.py"))
+    sweeps = figures["sweeps"]()
+    rows = re.findall(r"^\| `([\w:=]+)` \| (.*) \|$", (ROOT / "docs/robustness.md").read_text(), re.MULTILINE)
+    shown = [
+        (name, " | ".join("spared" if np.isnan(value) else f"{value:.0f}" for value, *_ in success))
+        for sweep in sweeps
+        for name, success in zip(sweep.policies, sweep.success, strict=True)
+    ]
+    assert set(shown) <= set(rows)
+    for page, policies in figures["PAGES"].items():
+        assert set(policies) <= {name for name, _ in shown}, page
+        assert (ROOT / "docs/experts" / f"{page}.png").exists()
+        assert f"]({page}.png)" in (ROOT / "docs/experts" / f"{page}.md").read_text()
 
 
 def test_a_table_is_stale_once_what_it_shows_is_another(monkeypatch, tmp_path):
