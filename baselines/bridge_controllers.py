@@ -13,7 +13,7 @@ from armctl.control.drive_limits import DriveLimits
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.envs import Sees, TaskVectorEnv
-from armctl.estimation.drive_observer import DriveObserver, DriveResponse
+from armctl.estimation.drive_observer import SLOW_TURN_RATE, DriveObserver, DriveResponse
 from armctl.planning import PathPlannerOptions, plan_path
 from armctl.robots.rover import MAX_VELOCITY
 from armctl.scene import BridgeMap
@@ -41,8 +41,6 @@ EXTRA_MARGIN = 0.05
 """m: added to distances if readings are noisy or the rover does not do what it should; the least gaps have as much."""
 SLOWEST = 0.85
 """m/s: speed of the weakest rover, for which it has just the time."""
-SLOW_TURN_RATE = 0.6
-"""rad/s, below which a rover has to plan its turns far ahead."""
 FASTEST_PER_ACCELERATION, FASTEST_PER_TURN_RATE = 0.33, 2.5
 """s, m: speed per acceleration that is less than a nominal rover's, and per turn rate."""
 FASTEST_TURN_PER_ACCELERATION = 0.7

@@ -15,7 +15,6 @@ import numpy as np
 
 from armctl.baselines.bridge_controllers import (
     MAP_TOLERANCE,
-    SLOW_TURN_RATE,
     BridgePolicy,
     distance_from_path,
     map_distance,
@@ -28,6 +27,7 @@ from armctl.control.pursuit import PursuitOptions, RegulatedPurePursuit
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import TaskVectorEnv
+from armctl.estimation.drive_observer import SLOW_TURN_RATE
 from armctl.policies import made_for, sees
 from armctl.robots.rover import MAX_VELOCITY, MAX_WHEEL_SPEED, RADIUS, TRACK, WHEEL_RADIUS, WHEEL_SEPARATION_MULTIPLIER
 from armctl.scene import BridgeMap

@@ -145,7 +145,11 @@ def draw(page: str, published: list[Sweep]) -> None:
         axes.set_ylabel("success, %")
         axes.grid(axis="y", color="#e5e5e5")
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, loc="lower left", fontsize="small")
+        axes.set_yticks(range(0, 101, 20))
+        axes.legend(
+            frameon=False, loc="lower right", bbox_to_anchor=(1, 0.99),
+            ncols=3, fontsize="small",
+        )  # fmt: skip
     picture = FOLDER / "experts" / f"{page}.png"
     figure.savefig(picture)
     plt.close(figure)

@@ -32,7 +32,7 @@ VELOCITY_DEVIATIONS, POSE_DEVIATIONS = (0.03, 0.06), (0.006, 0.003, 0.0)
 pose, and of the pose itself."""
 DELAY_OPTIONS = DelayOptions(threshold=8.0)
 """Options of the delay's identification: slow drives are similar to late ones, which takes more evidence."""
-WEAK_TURN_RATE, WEAK_GAIN = 0.6, 3.0
+SLOW_TURN_RATE, WEAK_GAIN = 0.6, 3.0
 """rad/s, below which drives hardly turn, and ratio of their commands to the turn rates that they reach: those that skid
 with all their force need no more, which would slow them down."""
 REMAINING = 0.3
@@ -185,7 +185,7 @@ class DriveObserver:
     def command(self, velocities: Array) -> Array:
         """Return the commands (n, 2) that lead to `velocities` (n, 2), which are sent now."""
         commands = velocities + self.response.offset
-        weak = self.response.speed[:, 1] < WEAK_TURN_RATE
+        weak = self.response.speed[:, 1] < SLOW_TURN_RATE
         commands[weak, 1] = WEAK_GAIN * velocities[weak, 1]
         limits = np.asarray(self.options.max_command)
         commands = np.clip(commands, -limits, limits)
