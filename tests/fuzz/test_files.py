@@ -1,5 +1,6 @@
 """Mutated results, agents, recipes and curves: each is read, or refused in words."""
 
+import contextlib
 import copy
 import csv
 import io
@@ -16,6 +17,7 @@ from onnx import AttributeProto, TensorProto, helper
 
 from armctl.agents import sha256
 from armctl.agents.graph import OPERATORS
+from armctl.core.errors import ResultsError
 from armctl.episodes.stored import STORE
 from armctl.episodes.table import TYPES
 from armctl.policies.trainings import card_path
@@ -162,7 +164,8 @@ def results_forged(load, rng):
             values[rng.randrange(len(values))] = rng.choice(HOSTILE_VALUES[rng.choice(sorted(TYPES[name], key=str))])
             results = results.with_column(name, values)
         identity, facts = (mutated_values(rng, one) if rng.random() < 0.5 else one for one in (identity, facts))
-        rewrite(folder, identity, facts, results, runs)
+        with contextlib.suppress(ResultsError):  # two of one policy's episodes with one number, which no store holds
+            rewrite(folder, identity, facts, results, runs)
 
     return load("results", entry(rng, "report", "report", "resume"), change)
 

@@ -77,7 +77,7 @@ class Threads:
                 env.drawn = 0.125
             time.sleep(0.0005)
     def act(self, observation):
-        time.sleep(0.05)
+        time.sleep(0.2)
         return [0.125]
 """
 AT_IMPORT = """

@@ -43,7 +43,7 @@ def cloned(tmp_path_factory):
 @pytest.mark.slow
 def test_a_clone_is_far_better_than_chance(cloned):
     _, out, card = cloned
-    assert (card.learner, card.teacher, card.training_steps) == ("bc", "reach_ik", 300)
+    assert (card.learner, card.teacher, card.training_steps) == ("bc", "reach_ik:prepared=false", 300)
     assert card.evaluation.success_rate > 0.4  # random actions: 0.015
     assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
 
@@ -60,7 +60,7 @@ def test_cloning_is_reproducible_and_goes_on_where_it_was(cloned, tmp_path):
 @pytest.mark.slow
 def test_a_dataset_teaches_as_the_teacher_does(cloned, tmp_path):
     recipe, _, card = cloned
-    collect("reach_ik", episodes=40, out=tmp_path / "data", seed=10**9, worlds=40, env_options=SHORT)
+    collect("reach_ik:prepared=false", episodes=40, out=tmp_path / "data", seed=10**9, worlds=40, env_options=SHORT)
     taught = recipe.changed(options=recipe.options | {"dataset": str(tmp_path / "data")})
     assert clone(taught, out=tmp_path / "run", seed=0, progress=False).evaluation == card.evaluation
 
