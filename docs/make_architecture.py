@@ -72,6 +72,7 @@ PACKAGES = {
     "robot_description": Package("URDF, limits, capsules"),
     "scene": Package("boxes, people, map"),
     "kernels": Package("compiled arithmetic", action="h"),
+    "remote": Package("messages to other processes"),
     "core": Package("errors, files, options, seeds, terminal"),
 }
 

@@ -8,7 +8,9 @@ import pytest
 
 from armctl.core.registration import environment_names
 from armctl.envs import make_worlds
-from armctl.study import compare
+from armctl.policies import WorldsByInterface
+from armctl.rollout.construction import build_policy
+from armctl.rollout.loop import rollouts
 from armctl.study.levels import sweep_levels
 from armctl.study.line_up import line_up
 from armctl.tasks.bridge.observation import BLOCK, ROVER
@@ -60,21 +62,25 @@ def test_it_is_the_same_with_any_number_of_worlds_and_nothing_else_changes():
 
 
 @functools.cache
-def compared(policies, env, disturbances, steps, episodes):
-    """A comparison, which is played once."""
+def played(policy, env, disturbances, steps, episodes):
+    """Return, length and path of each episode, and whether all disturbances are said to spare the policy."""
     options = {"max_episode_steps": steps, "disturbances": dict(disturbances)}
-    return compare(policies, env, episodes=episodes, worlds=episodes, env_options=options)
+    with closing(WorldsByInterface(env, episodes, options)) as interfaces:
+        worlds = interfaces.of(policy)
+        actor = build_policy(policy, worlds, policy, policy_seed=0)
+        results = rollouts(actor, worlds, episodes, 0, policy, dict.fromkeys(range(episodes), 0.0))
+        rows = {one.episode: (one.total_reward, one.length, one.metrics.path_length) for one in results}
+        return rows, bool(interfaces.spared(policy, actor))
 
 
 def differing(policies, env, disturbance, level, steps=25, episodes=2):
     """By policy: whether its episodes differ from the undisturbed ones, and whether it is told as spared."""
-    plain, disturbed = (
-        compared(tuple(policies), env, disturbances, steps, episodes) for disturbances in ((), ((disturbance, level),))
-    )
-    columns = ["return", "length", "path_length"]
-    rows = [one.episodes.set_index(["policy", "episode"])[columns] for one in (plain, disturbed)]
-    changed = (rows[0] != rows[1]).any(axis=1).groupby("policy").any()
-    return {one.policy: (bool(changed[one.policy]), bool(one.spared)) for one in disturbed.policies}
+    found = {}
+    for policy in policies:
+        plain, _ = played(policy, env, (), steps, episodes)
+        disturbed, spared = played(policy, env, ((disturbance, level),), steps, episodes)
+        found[policy] = plain != disturbed, spared
+    return found
 
 
 @pytest.mark.one_case

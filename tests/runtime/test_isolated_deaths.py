@@ -40,7 +40,7 @@ DEATHS = {
 @pytest.mark.one_case
 @pytest.mark.parametrize(("death", "num_envs"), [*((death, 1) for death in DEATHS), ("os._exit(3)", 3)])
 def test_a_policy_that_dies_or_hangs_loses_that_episode_and_plays_on(home, death, num_envs, monkeypatch):
-    monkeypatch.setitem(isolation.PATIENCE, "act", 3.0)
+    monkeypatch.setattr(isolation, "PATIENCE", 3.0)
     (home / "mine.py").write_text(f"""import ctypes, os, pickle, socket, stat, struct, sys, time
 NAMES = [name for name in os.listdir("/proc/self/fd") if os.path.exists(f"/proc/self/fd/{{name}}")]
 FD = max(int(name) for name in NAMES if stat.S_ISSOCK(os.fstat(int(name)).st_mode))

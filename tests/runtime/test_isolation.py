@@ -12,7 +12,7 @@ import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.registration import bare_id
 from armctl.policies import WorldsByInterface
-from armctl.rollout.loop import build_timed
+from armctl.rollout.construction import build_timed
 from armctl.rollout.parallel import Setting, WorkerConfig, _for_sending
 from armctl.study import compare
 from armctl.study.results import read_comparison

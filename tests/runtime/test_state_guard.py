@@ -17,7 +17,8 @@ from armctl.episodes.failures import PolicyDisqualified
 from armctl.policies import WorldsByInterface, make_policy
 from armctl.policies.names import declared_sees
 from armctl.report import write_report
-from armctl.rollout.loop import build_policy, rollouts
+from armctl.rollout.construction import build_policy
+from armctl.rollout.loop import rollouts
 from armctl.runtime.state_guard import StateGuard
 from armctl.study.results import read_comparison
 

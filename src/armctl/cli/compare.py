@@ -37,7 +37,7 @@ from armctl.cli.options import (
     print_tracebacks,
     progress_bar,
 )
-from armctl.cli.player_options import Filter, Isolate
+from armctl.cli.player_options import Filter, Isolate, Timeout
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ class StudyRequest:
     on: On = "local"
     policy_seed: PolicySeed = None
     isolate: Isolate = False
+    timeout: Timeout = None
     filter: Filter = False
     until: Annotated[
         str | None,
@@ -317,6 +318,7 @@ def _play(
             "workers": engine,
             "policy_seed": request.policy_seed,
             "isolate": request.isolate,
+            "timeout": request.timeout,
             "filter": request.filter,
             "until": request.until,
         }

@@ -12,6 +12,14 @@ Isolate = Annotated[
         "that see the true state cannot be isolated.",
     ),
 ]
+Timeout = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="Time that a policy in another process may take for an answer.",
+        show_default="10; of an isolated policy, 300",
+    ),
+]
 Filter = Annotated[
     bool,
     typer.Option(

@@ -1,13 +1,14 @@
-"""Verbs that share agents through a model hub: `push` and `pull`."""
+"""Verbs that share policies: `push` and `pull` through a model hub, `serve` with other processes."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from armctl import DEFAULT_ENV
 from armctl.cli import completion
 from armctl.cli.app import command
-from armctl.cli.options import checked_agents
+from armctl.cli.options import Env, EnvOptions, Robot, checked_agents, checked_policy, environment_options
 
 
 def checked_agent(agent: str) -> str:
@@ -82,3 +83,33 @@ def pull(
     except ConfigurationError as error:
         how = str(error)
     PlainConsole().print(f"The agent is {path}: {how}", soft_wrap=True, highlight=False)
+
+
+@command()
+def serve(
+    policy: Annotated[
+        str, typer.Argument(help="Policy, of any form that `armctl compare` takes.", callback=checked_policy)
+    ],
+    env: Env = DEFAULT_ENV,
+    set_: EnvOptions = None,
+    robot: Robot = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 is any that is free.")] = 8000,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on. Whoever reaches it can use the policy: there is no password.")
+    ] = "127.0.0.1",
+) -> None:
+    """Serve a policy to other processes, until Ctrl-C; needs the extra `remote`.
+
+    armctl compare ws://127.0.0.1:8000 reach_mpc
+
+    The same episodes result as with the policy itself. The protocol is that of openpi's policy servers, so that their
+    clients can ask it, too, and `armctl compare ws://HOST:PORT` plays theirs. Policies that see the true state or the
+    map stay where the simulator is.
+    """
+    from armctl.core.console import PlainConsole
+    from armctl.runtime.policy_server import serve_policy
+
+    def tell(bound: int) -> None:
+        PlainConsole().print(f"{policy} is at ws://{host}:{bound}, until Ctrl-C", soft_wrap=True, highlight=False)
+
+    serve_policy(policy, env, environment_options(env, set_, robot=robot), host, port, tell)

@@ -46,6 +46,10 @@ class EnvironmentFailed(ArmctlError):
     """An environment raised an error, or returned what an environment must not, such as a reward that is not finite."""
 
 
+class ConnectionFailed(ArmctlError):
+    """A policy or environment in another process is gone, does not answer in time, or answers nonsense."""
+
+
 class UnreachableTarget(ArmctlError):
     """No configuration of the arm brings its end-effector to the target."""
 

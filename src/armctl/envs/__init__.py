@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from armctl.envs.find import RETURN_BOUNDS, check_from_file, find_spec, full_id
     from armctl.envs.interface import (
         INTERFACES,
+        CurrentEpisode,
         Interface,
         MapInterface,
         ModelInterface,
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     from armctl.envs.vector import Observer, TaskVectorEnv
 
 __all__ = [
-    "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "UNSTABLE", "EpisodeVectorEnv", "Interface", "MapInterface",
-    "ModelInterface", "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv", "ThirdPartyVectorEnv",
-    "batch_of_one", "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec", "full_id", "interface_of",
-    "make_worlds", "new_policy_seed", "one_of", "privilege_in_words", "task_of",
+    "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "UNSTABLE", "CurrentEpisode", "EpisodeVectorEnv", "Interface",
+    "MapInterface", "ModelInterface", "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv",
+    "ThirdPartyVectorEnv", "batch_of_one", "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec",
+    "full_id", "interface_of", "make_worlds", "new_policy_seed", "one_of", "privilege_in_words", "task_of",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

@@ -1,5 +1,6 @@
 """Environments by their ids, found without loading a simulator."""
 
+import functools
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -32,6 +33,7 @@ from armctl.core.registration import (
     was_named,
 )
 from armctl.envs.environment_options import NAMES
+from armctl.remote.names import is_remote
 
 RETURN_BOUNDS = "return_bounds"
 """The option of any environment with its least and largest possible return, which it does not get to see."""
@@ -61,6 +63,11 @@ def find_spec(env: Any) -> EnvSpec:
     module, _, name = env.rpartition(":")
     if not module:
         return _registered(name, env, None)
+    if is_remote(env):
+        from armctl.envs.remote import RemoteEnv  # it needs the extra `remote`
+
+        remember_named(env)
+        return EnvSpec(id=name, entry_point=functools.partial(RemoteEnv, env))
     loaded = import_named(module, f"the environment {env!r}")
     maker = getattr(loaded, name, None)
     if isinstance(maker, (gymnasium.Env, gymnasium.vector.VectorEnv)):

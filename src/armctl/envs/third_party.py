@@ -102,7 +102,8 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         first = self.worlds[0]
         self.metadata = self.metadata | {"render_fps": first.metadata.get("render_fps") or RENDER_FPS}
         self.spec, self.render_mode = first.spec, first.render_mode
-        self.max_episode_steps = first.spec.max_episode_steps if first.spec else None
+        limit = getattr(first.unwrapped, "max_episode_steps", None)  # of an environment in another process
+        self.max_episode_steps = (first.spec.max_episode_steps if first.spec else None) or limit
         self.task = ThirdPartyTask(first, num_envs)
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
         self.disturbances = disturb(self.task, self.task.disturbances, disturbances)

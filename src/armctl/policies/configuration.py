@@ -27,6 +27,7 @@ from armctl.core.files import read_toml
 from armctl.core.options import checked_model
 from armctl.core.registration import files_beside, installed, load_installed
 from armctl.policies.names import GROUP, without_filter
+from armctl.remote.names import is_remote
 
 SUFFIX = ".toml"
 DESCRIPTION = "file of a policy's options"
@@ -75,7 +76,7 @@ def configured(policy: Any) -> PolicyConfiguration | None:
 def is_code(policy: str) -> bool:
     """Return True for the name of code, `module:name`, and not of an installed policy with options."""
     policy = without_filter(policy)
-    return ":" in policy and configured(policy) is None
+    return ":" in policy and configured(policy) is None and not is_remote(policy)
 
 
 def options_in(policy: str, text: str) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from armctl.policies.names import (
 from armctl.policies.plain import adapted
 from armctl.policies.policy import Policy
 from armctl.policies.trainings import training_card
+from armctl.remote.names import is_remote
 
 
 def is_expert(policy: Any) -> bool:
@@ -89,6 +90,8 @@ def make_policy(
     - a function with a parameter `env` that makes a policy for the worlds of a vector environment;
     - a model with the `predict` of Stable-Baselines3's, or an object with `act`;
     - `module:name` or `path/to/file.py:name` of any of these functions, classes and objects;
+    - `ws://HOST:PORT`, a policy server, or `python=INTERPRETER:MODULE:NAME`, code for another Python, which runs it in
+      a process of its own (see `armctl.policies.remote`);
     - a `Policy`, which acts in all worlds at once.
 
     Where it says `env`, a policy gets an `Interface` of copies, with as much as it declares to see (`armctl.sees`);
@@ -128,6 +131,10 @@ def loaded(policy: Any) -> Any:
     if not isinstance(policy, (str, Path)):
         return policy
     name = with_agent(str(without_filter(policy)))
+    if is_remote(name):
+        from armctl.policies.remote import remote_policy  # it needs the extra `remote`
+
+        return remote_policy(name)
     if Path(name).suffix in FILES:
         return Path(name)
     if (card := training_card(name)) is not None:

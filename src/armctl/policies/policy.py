@@ -1,6 +1,7 @@
 """Protocols of policies: a policy acts in n worlds at once, or consists of one controller for each."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -42,6 +43,15 @@ class Plans(Protocol):
 
     def plans(self, world: int) -> Mapping[str, NDArray[np.float64]]:
         """Return polylines by name, (m, 3) m: the `path` it follows, the `horizon` it predicts; none without a plan."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """Identity of code that only another process has imported: see `armctl.runtime.identity`."""
+
+    objects: str
+    code: dict[str, str] = field(default_factory=dict)
+    loaded: dict[str, str] = field(default_factory=dict)
 
 
 class Controller(Protocol):

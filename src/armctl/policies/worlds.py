@@ -18,6 +18,7 @@ from armctl.policies.find import is_expert, loaded
 from armctl.policies.policy import Policy
 from armctl.policies.privilege import channels_read
 from armctl.policies.trainings import card_of
+from armctl.remote.names import is_remote
 
 LEARNERS_ONLY = frozenset({"reward_scale", "reward_weights"})
 
@@ -40,6 +41,7 @@ class WorldsByInterface:
         self.requested: EpisodeVectorEnv = make_worlds(env, options=self._options, **self._arguments)
         """Environment with the requested interface."""
         self._envs = [(self._options, self.requested)]
+        self._remote_options: dict[str, dict[str, Any]] = {}
 
     def of(self, policy: Any) -> EpisodeVectorEnv:
         """Return the worlds in which a policy plays, of any of the forms that `make_policy` takes."""
@@ -62,6 +64,8 @@ class WorldsByInterface:
             kept = {name: value for name, value in self._options.items() if _is_for_experts(name, value)}
             declared: dict[str, Any] = getattr(unwrapped(loaded(policy)), "interface", {})
             return others | {name: value for name, value in declared.items() if name in self._interface} | kept
+        if card is None and is_remote(policy):
+            return others | self._options_for_remote(policy)
         return self._options
 
     def spared(self, policy: Any, built: Policy) -> tuple[str, ...]:
@@ -73,6 +77,15 @@ class WorldsByInterface:
         effective, reads = self.of(policy).disturbances, channels_read(built)
         names = self.requested.disturbances
         return tuple(name for name in names if name not in effective or not effective[name].reaches(reads))
+
+    def _options_for_remote(self, remote: str) -> dict[str, Any]:
+        """Return the options of the interface that a policy in another process asks for; it is asked only once."""
+        if remote not in self._remote_options:
+            from armctl.policies.remote import interface_options  # it needs the extra `remote`
+
+            options = interface_options(remote)
+            self._remote_options[remote] = {name: value for name, value in options.items() if name in self._interface}
+        return self._remote_options[remote]
 
     def _applicable_options(self, options: dict[str, Any]) -> dict[str, Any]:
         """Return the options without disturbances of what this interface lacks: who gets no image loses none."""

@@ -17,6 +17,7 @@ from armctl import DEFAULT_ENV
 from armctl.core.errors import (
     FAILURES,
     ConfigurationError,
+    ConnectionFailed,
     Disqualified,
     EnvironmentFailed,
     InvalidAction,
@@ -27,10 +28,10 @@ from armctl.envs import EpisodeVectorEnv, chosen_policy_seed
 from armctl.episodes.failures import PolicyDisqualified, PolicyFailed, until_unplayable
 from armctl.episodes.record import EpisodeResult, FailedEpisode
 from armctl.episodes.table import EpisodeTable
-from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByInterface, make_policy, policy_name
-from armctl.rollout.decision_times import Errors, TimedPolicy, timed_construction
+from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByInterface, policy_name
+from armctl.rollout.construction import build_policy
+from armctl.rollout.decision_times import Errors, TimedPolicy
 from armctl.rollout.recorder import EpisodeRecorder
-from armctl.runtime.isolation import IsolatedPolicy, isolated
 from armctl.runtime.state_guard import StateGuard
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ class _Player:
     ) -> None:
         self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
         guard = StateGuard(env, timed.policy.sees == "state", getattr(timed.policy, "foresight", ()))
-        self._guarded = _out_of_reach if isinstance(timed.policy, IsolatedPolicy) else guard.assert_unchanged
+        self._guarded = _out_of_reach if hasattr(timed.policy, "own_code") else guard.assert_unchanged
         self._numbers = np.zeros(env.num_envs, dtype=np.int64)
         """(n,) the episode of each world."""
         self._playing = np.zeros(env.num_envs, dtype=bool)
@@ -239,12 +240,14 @@ class _Player:
         except Disqualified as error:
             episode = self._numbers[self._playing][0]
             raise PolicyDisqualified(f"{self._name} is disqualified: in episode {episode}, {error}") from error
+        except ConnectionFailed as error:
+            raise PolicyFailed(f"{self._name} failed in episode {self._numbers[self._playing][0]}: {error}") from error
         except FAILURES as error:
             raise _UnknownWorldFailed(error) from error
 
 
 def _out_of_reach(new_episode: bool = False) -> AbstractContextManager[None]:
-    """Check nothing: an isolated policy has no world that it could write to."""
+    """Check nothing: a policy in another process has no world that it could write to."""
     return nullcontext()
 
 
@@ -279,35 +282,6 @@ def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
         raise
     except FAILURES as error:
         raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described(error)}") from error
-
-
-def build_policy(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> Policy:
-    """Make a policy called `name` for the worlds of `env`, which were never reset: there is no episode to observe.
-
-    Raises what `make_policy` raises, and `PolicyDisqualified` if making it writes to the world.
-    """
-    return build_timed(policy, env, name, policy_seed)[0]
-
-
-def build_timed(
-    policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int, isolate: bool = False
-) -> tuple[Policy, float]:
-    """Do the same, and return also the time that took (see `timed_construction`).
-
-    With `isolate`, the policy is made in a process of its own, if it can be (see `armctl.runtime.isolation`).
-    """
-    if isolate and (apart := isolated(policy, env, name, policy_seed)) is not None:
-        return apart, apart.construction_ms
-    guard = StateGuard(env)
-    try:
-        with guard.assert_unchanged(new_episode=True):
-            new_policy, construction_ms = timed_construction(
-                lambda: make_policy(policy, env, name=name, policy_seed=policy_seed)
-            )
-            guard.has_access = new_policy.sees == "state"
-        return new_policy, construction_ms
-    except Disqualified as error:
-        raise PolicyDisqualified(f"{name} is disqualified: when it was made, {error}") from error
 
 
 def check_counts(**counts: int) -> None:

@@ -21,8 +21,9 @@ from armctl.episodes.failures import FirstEpisodes, PolicyDisqualified, PolicyFa
 from armctl.episodes.record import EpisodeResult
 from armctl.policies import SUFFIX, Policy, PolicyFactory, WorldsByInterface, is_code
 from armctl.policies.trainings import training_card
+from armctl.rollout.construction import build_timed
 from armctl.rollout.decision_times import TimedPolicy
-from armctl.rollout.loop import build_timed, rollouts
+from armctl.rollout.loop import rollouts
 from armctl.rollout.real_time import RealTime, RealTimePolicy
 from armctl.runtime.engines import Cluster, Engine
 from armctl.runtime.identity import LOADED, identity
@@ -45,6 +46,7 @@ class WorkerConfig:
     """Secret from which policies draw their random numbers (see `armctl.envs.policy_seed`)."""
     workers: int = field(compare=False, default=1)
     isolate: bool = field(compare=False, default=False)
+    timeout: float | None = field(compare=False, default=None)
     """True if each policy plays in a process of its own, besides the worker."""
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
@@ -247,7 +249,7 @@ def _actor(setting: Setting, name: str) -> tuple[EpisodeVectorEnv, TimedPolicy]:
             vars(sys.modules["__main__"]).setdefault(config.env.rpartition(":")[2], config.maker)
         interfaces = config.interfaces(config.env, config.num_envs, config.env_options, threads=1)
         worlds = interfaces.of(policy)
-        actor, construction_ms = build_timed(policy, worlds, name, config.policy_seed, config.isolate)
+        actor, construction_ms = build_timed(policy, worlds, name, config.policy_seed, config.isolate, config.timeout)
         if expected := setting.identities.get(name):
             check_same_identity(expected, _identity_elsewhere(setting, name, actor, worlds))
         timed = TimedPolicy(actor, worlds.num_envs, config.workers)

@@ -24,6 +24,7 @@ from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, fi
 from armctl.policies import GROUP, Policy, configured, policy_names
 from armctl.policies.names import without_filter
 from armctl.policies.trainings import card_of
+from armctl.remote.names import is_remote
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
 from armctl.runtime.folder import differences
 from armctl.runtime.own_code import file_of, is_core, is_library, is_library_file, is_own
@@ -75,6 +76,11 @@ def identity(
         "objects": {name: fingerprint(requested) for name, requested in definitions.items() if requested is not None}
         | {name: code.objects for name, code in apart.items()},
         "makers": fingerprint([*_makers(env, worlds)]),
+        **(
+            {"environment": worlds.worlds[0].get_wrapper_attr("identity")}
+            if isinstance(worlds, ThirdPartyVectorEnv) and is_remote(env)
+            else {}
+        ),
         "constants": fingerprint(constants(worlds)),
         "notes": list(worlds.task.notes),
         LOADED: functools.reduce(operator.or_, (code.loaded for code in apart.values()), _loaded()),
@@ -200,6 +206,8 @@ def _definition(policy: Any) -> Any:
     """Return what defines a policy: a function, a class or an object; None for a learned agent's file."""
     if not isinstance(policy, (str, Path)):
         return policy
+    if is_remote(policy):
+        return None
     name = str(without_filter(policy))
     if (configuration := configured(name)) is not None:
         return configuration.make()
@@ -211,7 +219,7 @@ def _definition(policy: Any) -> Any:
 def _makers(env: str, worlds: EpisodeVectorEnv) -> Iterator[Any]:
     """Yield what makes an environment: its task, or its class, wrappers and constructor; and its registering module."""
     module, _, _ = env.rpartition(":")
-    if module:
+    if module and not is_remote(env):
         yield import_named(module, env)
     if not isinstance(worlds, ThirdPartyVectorEnv):
         yield type(worlds.task)

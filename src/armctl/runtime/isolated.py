@@ -33,6 +33,7 @@ from armctl.envs import Interface
 from armctl.policies import ControllersFailed, Policy, make_policy
 from armctl.policies.declare import declared, declared_foresight
 from armctl.policies.find import loaded
+from armctl.policies.policy import Code
 from armctl.runtime.workers import end_with_parent
 
 LONGEST = 100_000
@@ -68,15 +69,6 @@ class RemoteError:
         message = str(error) if kind != "error" else f"{reason(error)}{place_of(error)}"
         by_world = error.by_world if isinstance(error, InvalidAction) else {}
         return cls(kind, type(error).__name__, message, formatted(error)[-LONGEST:], by_world)
-
-
-@dataclass(frozen=True)
-class Code:
-    """Identity of code that only this process has imported: see `armctl.runtime.identity`."""
-
-    objects: str
-    code: dict[str, str]
-    loaded: dict[str, str]
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,13 @@ from armctl.core.registration import remember_named
 from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, interface_of
 from armctl.policies import Actions, ControllersFailed, configured, policy_names
 from armctl.policies.names import agent_cards, declared_sees, without_filter
+from armctl.policies.policy import Code
 from armctl.policies.trainings import card_of
-from armctl.runtime.isolated import ANSWER, Answer, Code, RemoteError
+from armctl.remote.names import is_remote
+from armctl.runtime.isolated import ANSWER, Answer, RemoteError
 from armctl.tasks import Observations
 
-PATIENCE = dict.fromkeys(("load", "make", "reset", "act"), 300.0)
+PATIENCE = 300.0
 """s that a policy may take for each request before it counts as hanging."""
 LARGEST_MESSAGE = 2**28
 """Bytes of an answer."""
@@ -57,6 +59,8 @@ class IsolatedPolicy:
         self.training_cost, self.family = built.training_cost, built.family
         if built.reads is not None:
             self.reads = built.reads
+        self.patience = PATIENCE
+        """Time that its process may take for an answer, s."""
         self.seconds = 0.0
         """Duration of the last call, as measured around it in the policy's process."""
         self.failures: NDArray[np.int64] = np.zeros(interface.num_envs, dtype=np.int64)
@@ -85,7 +89,7 @@ class IsolatedPolicy:
         return self._process.ask("make", cloudpickle.dumps(self._interface))
 
     def _answered(self, request: str, *arguments: Any) -> Any:
-        answer = self._process.ask(request, *arguments)
+        answer = self._process.ask(request, *arguments, patience=self.patience)
         self.seconds = answer.seconds
         with self._process.wrap_nonsense():
             self.failures = np.broadcast_to(restored(answer.failures), self._interface.num_envs).astype(np.int64)
@@ -98,7 +102,8 @@ class IsolatedPolicy:
 def isolated(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) -> IsolatedPolicy | None:
     """Make a policy in a process of its own, without importing its code here; see `make_policy`.
 
-    None: it is one of the installed policies that see the true state, which no other process has.
+    None: it is one of the installed policies that see the true state, which no other process has, or it is in another
+    process already.
 
     Raises `ConfigurationError` for any other policy that sees it, and what `make_policy` raises.
     """
@@ -107,6 +112,8 @@ def isolated(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) ->
         raise ConfigurationError(
             f"{name} cannot be isolated: its filter sees the {SEES['state']}, which only the process that plays has"
         )
+    if is_remote(source):
+        return None
     card = agent_cards().get(source) if isinstance(source, str) else None
     process = _Process(name)
     try:
@@ -130,9 +137,9 @@ def isolated(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) ->
 
 
 def close(policies: Iterable[Any]) -> None:
-    """End the processes of those policies that are isolated."""
+    """End the processes of those policies that play in others, and connections to servers."""
     for policy in policies:
-        if isinstance(policy, IsolatedPolicy):
+        if hasattr(policy, "own_code"):
             policy.close()
 
 
@@ -168,14 +175,14 @@ class _Process:
             ) from error
         return self.ask("load", packed, self._name)
 
-    def ask(self, request: str, *arguments: Any) -> Answer:
+    def ask(self, request: str, *arguments: Any, patience: float = PATIENCE) -> Answer:
         """Return its answer. Raises the error that it tells, and `PolicyProcessFailed`."""
         try:
             dumps = pickle.dumps if request == "act" else cloudpickle.dumps  # objects of a script travel by value
             self._connection.send_bytes(dumps((request, *arguments), pickle.HIGHEST_PROTOCOL))
-            if not self._connection.poll(PATIENCE[request]):
+            if not self._connection.poll(patience):
                 self.end()
-                raise PolicyProcessFailed(f"its process has not answered for {PATIENCE[request]:g} s, and was ended")
+                raise PolicyProcessFailed(f"its process has not answered for {patience:g} s, and was ended")
             message = self._connection.recv_bytes(LARGEST_MESSAGE)
         except (EOFError, OSError) as error:
             raise PolicyProcessFailed(f"its process {self._way_of_dying()}") from error

@@ -17,8 +17,9 @@ from armctl.episodes.store import CellWriter, Store
 from armctl.episodes.stored import POLICY_SEED, UNDISTURBED
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy, WorldsByInterface
+from armctl.rollout.construction import build_timed
 from armctl.rollout.decision_times import TimedPolicy
-from armctl.rollout.loop import build_timed, wrap_environment_errors
+from armctl.rollout.loop import wrap_environment_errors
 from armctl.rollout.parallel import (
     RolloutBatch,
     Setting,
@@ -31,7 +32,7 @@ from armctl.rollout.parallel import (
 from armctl.rollout.real_time import RealTimePolicy, check_real_time
 from armctl.rollout.seeding import check_seed
 from armctl.runtime.identity import identity
-from armctl.runtime.isolation import IsolatedPolicy, close
+from armctl.runtime.isolation import close
 from armctl.runtime.provenance import RunMeter, machine, versions
 from armctl.runtime.workers import WorkersFailed
 from armctl.study.comparison import Comparison, concluded
@@ -159,7 +160,7 @@ class _Line:
         close(self.policies.values())  # workers make their own
         config = WorkerConfig(
             cell.env, plan.num_envs_in(cell), dict(cell.env_options), plan.seed, self.policy_seed, engine.workers,
-            plan.isolate, interfaces=interfaces, recording=recording, alternating=plan.until_decided,
+            plan.isolate, plan.timeout, interfaces=interfaces, recording=recording, alternating=plan.until_decided,
         )  # fmt: skip
         setting = Setting(config, self.playing)
         return lambda waiting, finished: play_in_workers(
@@ -183,7 +184,8 @@ class _Line:
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
                     tuple(name for name in getattr(policy, "foresight", ()) if name in env.foresight),
-                    isolated=isinstance(policy, IsolatedPolicy),
+                    isolated=hasattr(policy, "own_code"),
+                    transport_ms=getattr(policy, "transport_ms", None),
                 )
                 for name, policy in self.policies.items()
             },
@@ -273,7 +275,7 @@ def _policies(cell: Cell, interfaces: WorldsByInterface, session: Session, event
     for name, policy in cell.players.items():
         try:
             policies[name], events.construction_ms[name] = build_timed(
-                policy, interfaces.of(policy), name, session.policy_seed, session.plan.isolate
+                policy, interfaces.of(policy), name, session.policy_seed, session.plan.isolate, session.plan.timeout
             )
         except PolicyDisqualified as failure:
             events.note(failed(name, [], failure))

@@ -24,6 +24,9 @@ class StudyOptions(TypedDict, total=False):
     """Play each policy in a process of its own, which gets observations only: no world, seed or episode number (see
     `armctl.runtime.isolation`). Its episodes are the same, and decision times are measured in that process. Installed
     policies that see the true state play as ever, and are named; others that see it are refused."""
+    timeout: float | None
+    """Time (s) that a policy in another process may take for an answer: by default, 10 for a server or another Python,
+    300 for an isolated one. A policy in this process cannot be interrupted."""
     filter: bool
     """Play each policy behind the safety filter, as `filtered(NAME)` (see `armctl.policies.filtered`)."""
     until: Literal["decided"] | None

@@ -1,6 +1,7 @@
 """Plan of a study: policies times cells, checked before anything is played."""
 
 import functools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -114,6 +115,7 @@ class Plan:
     num_envs: int = 1
     engine: Engine = field(default_factory=lambda: engine_of(1))
     isolate: bool = False
+    timeout: float | None = None
     """True if each policy plays in a process of its own."""
     baseline: str | None = None
     margin: float = MARGIN
@@ -224,11 +226,13 @@ def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
     """Return the arguments of `Plan` that all kinds share. Raise `ConfigurationError`."""
     num_envs, workers = options.get("worlds", 1), options.get("workers", 1)
     check_counts(episodes=episodes, worlds=num_envs)
+    if (timeout := options.get("timeout")) is not None and not 0 < timeout < math.inf:
+        raise ConfigurationError(f"the time-out of a policy in another process is more than 0 s, not {timeout:g} s")
     if (until := options.get("until")) not in (None, DECIDED):
         raise unknown_name("condition to stop at (until)", str(until), [DECIDED])
     return {
         "episodes": episodes, "seed": seed, "num_envs": num_envs, "engine": engine_of(workers),
-        "isolate": options.get("isolate", False), "until_decided": until == DECIDED,
+        "isolate": options.get("isolate", False), "timeout": timeout, "until_decided": until == DECIDED,
     }  # fmt: skip
 
 

@@ -23,7 +23,8 @@ from armctl.policies import (
     configurations,
     read_configuration,
 )
-from armctl.rollout.loop import build_policy, rollouts
+from armctl.rollout.construction import build_policy
+from armctl.rollout.loop import rollouts
 from armctl.runtime.identity import checksums_of_code
 from armctl.study.curves import CURVE, read_curve
 from armctl.training.learners import Recipe, load_recipe

@@ -38,6 +38,8 @@ class PolicyFacts:
     """Kind of policy as it was declared for results made elsewhere; None: its training cost tells."""
     isolated: bool = False
     """True if it played in a process of its own, which got observations only."""
+    transport_ms: Finite | None = None
+    """Time that messages take beside a decision, median; None if that was not measured."""
 
 
 def training_cost_of(policy: Any) -> TrainingCost:

@@ -108,9 +108,11 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     family: str = ""
     """Kind of method that the policy declares, such as `MPC`; of another, its name."""
     foresight: tuple[str, ...] = ()
+    """Foresight, such as `pedestrians`."""
     isolated: bool = False
     """True if it played in a process of its own, which got observations only."""
-    """Foresight, such as `pedestrians`."""
+    transport_ms: float | None = None
+    """Time that messages take beside a decision, median; None if that was not measured."""
     kind: str | None = None
     """Kind of policy as `PolicyFacts` has it."""
 
@@ -126,6 +128,12 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
             return []
         size = "" if self.intervention_size is None else f", by {100 * self.intervention_size:.2g} % of its range"
         return [f"safety filter: action changed in {100 * self.intervention_share:.2g} % of the control steps{size}"]
+
+    @property
+    def isolation(self) -> list[str]:
+        """Meaning of the decision times of a policy in a process of its own, in words; nothing of others."""
+        transport = f", without {self.transport_ms:.2g} ms of transport" if self.transport_ms else ""
+        return [f"isolated: decision times as measured in its own process{transport}"] * self.isolated
 
     @property
     def effort(self) -> list[str]:
@@ -206,6 +214,7 @@ def summarise(
             foresight=members[0].foresight,
             isolated=all(member.isolated for member in members),
             kind=members[0].kind,
+            transport_ms=members[0].transport_ms,
             **vars(_performance(together, scored, limits, facts.unknown)),
             **vars(decision_times(comparable_times(together, machines), construction_ms, bool(facts.sources))),
         )

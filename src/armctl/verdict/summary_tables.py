@@ -166,8 +166,7 @@ def details(policy: PolicySummary) -> Remark:
         facts.append(f"decisions {seconds.value:.2g} s per episode{planning}")
         if policy.construction_ms is not None:
             facts.append(f"construction {policy.construction_ms:.3g} ms")
-    if policy.isolated:
-        facts.append("isolated: decision times as measured in its own process")
+    facts += policy.isolation
     facts += [f"solver failures: {policy.solver_failures}"] * (policy.solver_failures > 0)
     facts += policy.interventions
     if policy.missed_deadlines:
