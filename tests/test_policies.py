@@ -17,6 +17,7 @@ from armctl.policies.catalogue import listed_policies
 from armctl.policies.find import loaded
 from armctl.policies.trainings import card_of, card_path
 from armctl.study.line_up import default_policies
+from armctl.study.results import read_comparison
 
 from .holding_still import HoldsStill
 
@@ -155,3 +156,15 @@ def test_a_policy_has_the_family_that_its_maker_declares():
         policy: Any = make_policy(still, worlds)
         assert policy.family == "PD"
         assert not hasattr(make_policy(lambda observation: observation[3:9], worlds), "family")
+
+
+def test_a_hybrid_is_one_because_its_maker_declares_it(tmp_path):
+    @armctl.sees("observation", kind="hybrid")
+    def still(observation):
+        return observation[3:9]
+
+    with pytest.raises(ConfigurationError, match=r"there is no kind 'hybird'\. Did you mean 'hybrid'"):
+        armctl.sees("observation", kind="hybird")
+    comparison = armctl.compare({"still": still, "hybrid": lambda seen: seen[3:9]}, episodes=2, worlds=2, out=tmp_path)
+    for result in (comparison, read_comparison(tmp_path)):
+        assert [policy.side for policy in result.policies] == ["hybrid", "classical"]

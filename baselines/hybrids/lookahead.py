@@ -39,8 +39,8 @@ TUNING = TuningCost(trials=3)
 """Trials of the options, as `rl/trials.csv` has them."""
 
 
-@made_for("armctl/BridgeCrossMoving-v0", controls="rover", kind="hybrid")
-@sees("state", family="imagination")
+@made_for("armctl/BridgeCrossMoving-v0", controls="rover")
+@sees("state", family="imagination", kind="hybrid")
 def make(env: TaskVectorEnv) -> "LookaheadPolicy":
     """`bridge_moving_state_ppo`, which looks ahead: where it would touch something, it tries other commands first."""
     policy = lookahead("bridge_moving_state_ppo", env)

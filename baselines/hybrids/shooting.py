@@ -27,8 +27,8 @@ from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
 
 
-@made_for("armctl/ArmReachObstacles-v0", controls="ur5: position", kind="hybrid")
-@sees("model", family="imagination")
+@made_for("armctl/ArmReachObstacles-v0", controls="ur5: position")
+@sees("model", family="imagination", kind="hybrid")
 def make(env: ModelInterface) -> "ShootingPolicy":
     """`obstacles_plan_bc`, which plays its episodes in imagination first, by kinematics, and executes the best."""
     agent = make_policy("obstacles_plan_bc", env)

@@ -125,7 +125,7 @@ def test_stable_baselines3(tmp_path):
     ppo = next(policy for policy in judgement.overall.policies if policy.policy == "ppo")
     assert ppo.episode_return.value == pytest.approx(written["results"][-1].mean())
     assert ppo.length.value == pytest.approx(written["ep_lengths"][-1].mean())
-    assert (ppo.training.steps, ppo.learned) == (int(written["timesteps"][-1]), True)
+    assert (ppo.training.steps, ppo.side) == (int(written["timesteps"][-1]), "learned")
     assert any("the last of 2 evaluations" in note for note in judgement.overall.notes)
     monitors = judge([tmp_path / "a2c_train.monitor.csv", tmp_path / "ppo_train.monitor.csv"])
     assert {policy.policy for policy in monitors.overall.policies} == {"a2c_train", "ppo_train"}

@@ -58,7 +58,7 @@ def test_what_is_known_is_said(tmp_path):
     ]
     judgement = judged(tmp_path, lines, learned=("new",), max_steps=100)
     new, old = judgement.overall.policies
-    assert (new.learned, old.learned) == (True, False)
+    assert (new.side, old.side) == ("learned", "classical")
     assert judgement.overall.verdict.cost == "Median decision time: new 2.5 ms, old 5 ms."
     assert "The result holds for new as one network." in judgement.overall.verdict.context
     assert new.restricted_steps.low is not None

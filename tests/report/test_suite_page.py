@@ -15,7 +15,7 @@ from armctl.stats.intervals import Estimate
 from armctl.study import suite
 from armctl.study.line_up import SuiteSize
 from armctl.study.results import UNFINISHED, read_study
-from armctl.study.task_verdict import suite_headline
+from armctl.study.suite_headline import suite_headline
 
 from ..forgery import change_record, forge
 from .pages import text_of

@@ -44,7 +44,7 @@ def test_an_option_of_a_long_text_is_not_read(folder):
 def test_what_a_training_took_is_read_back(folder):
     ik, ppo, _ = read_comparison(folder).policies
     cost = read_card(card_path("reach_ppo")).cost
-    assert (ik.learned, ppo.training) == (False, cost)
+    assert (ik.side, ppo.training) == ("classical", cost)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import armctl
 from armctl.core.errors import ConfigurationError
 from armctl.study import compare
 from armctl.study.results import read_comparison
-from armctl.verdict.sentences import verdict_pairs
+from armctl.verdict.pairs import verdict_pairs
 
 from ..verdict.made_up_verdicts import played, text_of
 

@@ -16,7 +16,7 @@ from armctl.study.line_up import FULL, QUICK, SuiteSize, line_up, main_disturban
 from armctl.study.names import task_name
 from armctl.study.plan import suite_plan
 from armctl.study.results import UNFINISHED, read_study
-from armctl.study.task_verdict import suite_headline
+from armctl.study.suite_headline import suite_headline
 from armctl.verdict.tables import Remark, Table
 
 from ..forgery import change_record

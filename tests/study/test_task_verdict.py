@@ -15,8 +15,9 @@ from armctl.stats.correction import holm
 from armctl.stats.intervals import Estimate, bounded_difference
 from armctl.stats.paired import mcnemar
 from armctl.study import Study, sweep
+from armctl.study.suite_headline import suite_headline
 from armctl.study.suite_tables import success_test, task_table
-from armctl.study.task_verdict import TaskVerdict, holm_corrected, suite_headline, task_verdict
+from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
 
 from ..report.pages import text_of
 from ..verdict.made_up_verdicts import summary_of
@@ -220,6 +221,38 @@ def test_steps_of_a_task_are_a_bounded_paired_difference():
     assert gains.min() > -99  # so that the bounds are the time limit's, not what was seen
     expected = bounded_difference(gains, (-99.0, 99.0))
     assert (found.steps, found.steps_p) == (expected.estimate, expected.p)
+
+
+def test_the_best_hybrid_is_compared_with_the_best_of_both_other_kinds():
+    def still(seen):
+        return seen[3:9]
+
+    swept = sweep(["reach_ik", "reach_ppo", still], disturbances={"noise": [0.01]}, episodes=12, worlds=12)
+    for comparison in swept.comparisons.values():
+        comparison.policies[:] = [
+            replace(policy, kind="hybrid" if policy.policy == "reach_ik" else None) for policy in comparison.policies
+        ]
+    (found,) = holm_corrected([task_verdict(swept)])
+    assert (found.hybrid.policy, found.classical.policy, found.learned.policy) == ("reach_ik", "still", "reach_ppo")
+    against = {kind: pairs[UNDISTURBED] for kind, pairs in found.hybrid_pairs.items()}
+    assert [against[kind].better for kind in ("classical", "learned")] == [1, 0]
+    assert against["learned"].steps.value == -task_steps(swept, "reach_ppo", "reach_ik")
+    assert found.undisturbed.num_comparisons == 3
+    text = found.of_hybrid
+    assert text.startswith("Hybrid reach_ik against classical still: better undisturbed (+")
+    assert "; better with noise 0.01 (+" in text
+    assert "Hybrid reach_ik against learned reach_ppo: not shown to be better or worse undisturbed (" in text
+    assert text in found.context
+    table = task_table([found], 12, 0, False)
+    assert [column.heading for column in table.columns][:4] == ["task", "classical", "learned", "hybrid"]
+    assert "best hybrid" not in suite_headline([found])[0]
+    ahead = replace(found, hybrid_pairs={"classical": found.hybrid_pairs["classical"]})
+    assert suite_headline([ahead])[0].endswith("the best hybrid is better than the best of the other kinds in ArmReach")
+
+
+def task_steps(swept, first, second):
+    steps = swept.comparisons[UNDISTURBED].episodes.pivot(index="episode", columns="policy", values="length")
+    return (steps[first] - steps[second]).mean()
 
 
 @pytest.mark.parametrize(("kind", "missing"), [("classical", "learned"), ("learned", "classical")])

@@ -13,7 +13,7 @@ from armctl.stats.correction import holm, holm_adjusted
 from armctl.stats.difference import Difference, Scores, Simultaneous, difference_between
 from armctl.stats.intervals import Estimate, Superiority
 from armctl.stats.paired import mover
-from armctl.verdict.sentences import verdict_pairs
+from armctl.verdict.pairs import verdict_pairs
 from armctl.verdict.summary_tables import difference_table
 
 from .made_up_verdicts import AGENTS, compared, played, said, summary_of, text_of
@@ -107,6 +107,29 @@ def test_intervals_of_the_sentence_hold_for_all_pairs_at_once():
     renamed["mine.py:pd"] = np.zeros(200, dtype=bool)
     policies, pairs = compared(renamed)
     assert [found.num_comparisons for found in verdict_pairs(policies, pairs, None)] == [6, 6]  # all: one more is told
+
+
+def test_the_best_of_each_kind_are_compared_each_with_each():
+    wins = {"reach_ik": 300, "reach_mpc": 380, "reach_ppo": 340, "reach_sac": 200, "mixed": 390, "mixed_too": 100}
+    policies, pairs = played({name: range(count) for name, count in wins.items()})
+    kinds = {"mixed": "hybrid", "mixed_too": "hybrid"}
+    policies = [dataclasses.replace(policy, kind=kinds.get(policy.policy)) for policy in policies]
+    found = verdict_pairs(policies, pairs, None)[:3]
+    assert [(pair.first.policy, pair.second.policy) for pair in found] == [
+        ("reach_mpc", "reach_ppo"), ("mixed", "reach_mpc"), ("mixed", "reach_ppo"),
+    ]  # fmt: skip
+    text = text_of(policies, pairs)
+    assert text.startswith("reach_mpc is better than reach_ppo: ")
+    assert "mixed is better than reach_ppo: " in text
+    assert "Median decision time: reach_mpc 0.25 ms (99th percentile 0.5 ms), reach_ppo" in text
+    assert ", mixed 0.25 ms" in text
+
+
+def test_the_pairs_of_three_kinds_are_corrected_for_all_among_which_they_were_chosen(monkeypatch):
+    monkeypatch.setattr("armctl.verdict.pairs.policy_names", lambda: ["reach_ik", "reach_mpc", "reach_ppo", "mixed"])
+    policies, pairs = played({"reach_ik": range(300), "reach_mpc": range(280), "reach_ppo": range(250), "mixed": []})
+    policies[3] = dataclasses.replace(policies[3], kind="hybrid")
+    assert [pair.num_comparisons for pair in verdict_pairs(policies, pairs, None)] == [5, 5, 5]  # 2 + 2 + 1
 
 
 def test_equivalence_is_for_all_pairs_among_which_the_best_were_chosen():

@@ -12,7 +12,7 @@ from armctl.stats.intervals import FEWEST
 from armctl.stats.robustness import GROUP
 from armctl.study.comparison import Comparison
 from armctl.verdict.notebook import Displayed
-from armctl.verdict.sentences import Pair, verdict_pairs
+from armctl.verdict.pairs import Pair, verdict_pairs
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Document, Remark, Table, p_value, percent, plain, points
 
 Outcome = Literal["better", "worse", "equivalent", "undecided"]

@@ -67,7 +67,7 @@ def _sweep(cells: Cells) -> Sweep | None:
 def _suite(cells: Cells) -> Study | None:
     """Return a suite of several tasks, in each of which both kinds play, and success is known; None for others."""
     for comparison in cells.values():
-        kinds = {policy.learned for policy in comparison.policies}
+        kinds = {policy.side for policy in comparison.policies}
         if len(cells) < 2 or len(kinds) < 2 or not all(policy.success for policy in comparison.policies):
             return None
     tasks = {

@@ -64,7 +64,8 @@ def _expert(name: str) -> ListedPolicy:
     foresight = more.get("foresight", declared.values.get("foresight", ()))
     foresight = (foresight,) if isinstance(foresight, str) else tuple(foresight)
     (envs,), made_for = declared.decorators.get("made_for", (["*"], {}))
-    kind, controls = "baseline" if envs == "*" else made_for.get("kind", "expert"), made_for.get("controls", "any")
+    kind = "baseline" if envs == "*" else more.get("kind", declared.values.get("kind", "expert"))
+    controls = made_for.get("controls", "any")
     return ListedPolicy(name, declared.summary, kind, SHORT.get(privilege, privilege), foresight, controls, envs)
 
 

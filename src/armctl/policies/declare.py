@@ -7,19 +7,26 @@ from typing import Any, TypeVar
 
 from armctl.core.errors import unknown_name
 from armctl.core.foresight import FORESIGHT, Foresight, check_known
+from armctl.core.kinds import Kind, check_kind
 from armctl.envs.sees import SEES, Sees
 
 Factory = TypeVar("Factory")
 
 
 def sees(
-    privilege: Sees, *, family: str | None = None, foresight: Foresight | tuple[Foresight, ...] = ()
+    privilege: Sees,
+    *,
+    family: str | None = None,
+    foresight: Foresight | tuple[Foresight, ...] = (),
+    kind: Kind | None = None,
 ) -> Callable[[Factory], Factory]:
     """Declare what a policy sees: a decorator of the function or class that makes it, or of a plain policy.
 
     `family` is the kind of method, such as `MPC`, by which a suite ranks policies of several tasks together.
     `foresight` is what the policy knows besides: the `target`'s future, the `pedestrians`' future, the level of a
     `disturbance`, or the nominal `simulator`, in which it plans. It gets that by `env.preview(name, world)`.
+    `kind` is the side on which verdicts count it: `hybrid` if it plans or controls with a trained network. By default,
+    what was trained is `learned`, and anything else `classical`.
 
     - `observation`: only what the environment gives to every policy; this is the default;
     - `model`: the robot's description and the task's options as well;
@@ -30,6 +37,8 @@ def sees(
     """
     check_sees(privilege)
     names = _checked_foresight(foresight)
+    if kind is not None:
+        check_kind(kind)
 
     def declare(factory: Factory) -> Factory:
         factory.sees = privilege  # type: ignore[attr-defined]
@@ -37,23 +46,25 @@ def sees(
             factory.foresight = names  # type: ignore[attr-defined]
         if family is not None:
             factory.family = family  # type: ignore[attr-defined]
+        if kind is not None:
+            factory.kind = kind  # type: ignore[attr-defined]
         return factory
 
     return declare
 
 
 def made_for(
-    envs: str, *, controls: str, kind: str = "expert", interface: Mapping[str, Any] = MappingProxyType({})
+    envs: str, *, controls: str, interface: Mapping[str, Any] = MappingProxyType({})
 ) -> Callable[[Factory], Factory]:
     """Declare, for `armctl list`, for which environments a policy is made, and what it controls there.
 
     `envs` is an id, or a pattern such as `armctl/ArmReach*`; `controls` are robots and commands, such as `ur5,
-    position`; `kind` is `hybrid` if it plans with a network. All are literal texts, which are read from the source.
+    position`. Both are literal texts, which are read from the source.
     `interface` are options of the environment with which it plays unless others are requested: a `control`, say.
     """
 
     def declare(factory: Factory) -> Factory:
-        factory.made_for = (envs, controls, kind)  # type: ignore[attr-defined]
+        factory.made_for = (envs, controls)  # type: ignore[attr-defined]
         factory.interface = dict(interface)  # type: ignore[attr-defined]
         return factory
 

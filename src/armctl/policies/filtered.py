@@ -97,7 +97,7 @@ class Filtered:
         self.foresight = tuple(dict.fromkeys((*getattr(policy, "foresight", ()), *env.task.foresight)))
         self.reads = tuple(dict.fromkeys((*channels_read(policy), "state")))
         self.training_steps = policy.training_steps
-        for fact in ("training_minutes", "training_cost", "family"):
+        for fact in ("training_minutes", "training_cost", "family", "kind"):
             if hasattr(policy, fact):
                 setattr(self, fact, getattr(policy, fact))
         self._shape, self._range = env.single_action_space.shape, np.ptp(env.task.action_range, axis=0)

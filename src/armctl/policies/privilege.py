@@ -6,6 +6,7 @@ from typing import Any
 
 from armctl.core.errors import ConfigurationError, defined_at, unknown_name
 from armctl.core.foresight import check_declared, how_to_declare
+from armctl.core.kinds import declared_kind
 from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, interface_of
 from armctl.policies.declare import declared, declared_foresight, unwrapped
 
@@ -66,6 +67,8 @@ def as_declared(policy: Any, name: str, source: Any) -> Any:
         policy.foresight = foresight
     if (family := getattr(unwrapped(source), "family", None)) is not None:
         policy.family = family
+    if (kind := declared_kind(unwrapped(source))) is not None:
+        policy.kind = kind
     return policy
 
 

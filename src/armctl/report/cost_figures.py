@@ -40,7 +40,7 @@ def training_cost(
             else:
                 add_band(figure, curve.decisions, curve.low, curve.high, style)
                 add_line(figure, curve.decisions, curve.success, style, "linear", hover, markers=True)
-        elif policy.success and not policy.learned:
+        elif policy.success and policy.side == "classical":
             level = Style(style.label, style.colour, "dot")
             add_line(figure, span, [policy.success.value] * 2, level, "linear", "%{y:.1%}, without training")
     for point in break_evens:

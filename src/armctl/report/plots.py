@@ -124,7 +124,11 @@ def _training_cost(
     policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataFrame], styles: style.Styles
 ) -> Plot | None:
     """Success against decisions of training, and the break-even points in words; None if no decisions are known."""
-    costs = {policy.policy: cost_curve(policy, curves.get(policy.policy)) for policy in policies if policy.learned}
+    costs = {
+        policy.policy: cost_curve(policy, curves.get(policy.policy))
+        for policy in policies
+        if policy.side != "classical"
+    }
     known_costs = {name: curve for name, curve in costs.items() if not curve.empty}
     if not known_costs:
         return None

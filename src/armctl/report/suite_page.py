@@ -25,12 +25,15 @@ from armctl.stats.across_tasks import (
 from armctl.stats.intervals import Estimate
 from armctl.study.names import setting_name, task_name
 from armctl.study.study import Study
+from armctl.study.suite_headline import suite_headline
 from armctl.study.suite_tables import success_test
-from armctl.study.task_verdict import TaskVerdict, rule_of_choice, suite_headline
+from armctl.study.task_verdict import TaskVerdict, rule_of_choice
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import SPARED
 
 ALL_TASKS = "all tasks"
+ORDER = {"classical": 0, "hybrid": 1, "learned": 2}
+"""Places of the kinds in a task's rows of the heat map."""
 THRESHOLDS = np.linspace(0.0, 1.0, 101)
 
 
@@ -95,7 +98,7 @@ def _heat(suite: Study, verdict: TaskVerdict, heads: Sequence[tuple[str, int]], 
         settings.append((setting_name(name, levels[name][i]), f"{levels[name][i]:g}") if has_level else None)
     rows = [
         (policy.policy, [None if at is None else _cell_value(verdict, policy.policy, at[0]) for at in settings])
-        for policy in sorted(verdict.policies, key=lambda policy: policy.learned)
+        for policy in sorted(verdict.policies, key=lambda policy: ORDER[policy.side])
     ]
     levels_shown = [None if at is None else at[1] for at in settings]
     return {"task": task_name(verdict.env), "link": link, "levels": levels_shown[1:], "rows": rows}
@@ -204,7 +207,7 @@ def _costs(verdicts: Sequence[TaskVerdict], styles: style.Styles) -> list[Plot]:
 
 def _decisions(policy: PolicySummary) -> int | None:
     """Return the decisions of a policy's training, 0 without any; None for agents that learned without simulation."""
-    return (policy.training.total.decisions or None) if policy.learned else 0
+    return (policy.training.total.decisions or None) if policy.training.steps else 0
 
 
 def _symbols(verdicts: Sequence[TaskVerdict], symbols: Any) -> list[str]:

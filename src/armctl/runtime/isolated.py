@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from armctl.agents.costs import TrainingCost
+from armctl.core import kinds
 from armctl.core.errors import (
     FAILURES,
     AgentFileError,
@@ -85,6 +86,7 @@ class Answer:
     training_minutes: float | None = None
     training_cost: TrainingCost | None = None
     family: str | None = None
+    kind: kinds.Kind | None = None
     seconds: float = 0.0
     """Duration of the policy's construction or call; of the construction, for each of its controllers."""
     errors: dict[int, RemoteError] = field(default_factory=dict)
@@ -130,6 +132,7 @@ class _Served:
             training_minutes=getattr(policy, "training_minutes", None),
             training_cost=cost if isinstance(cost, TrainingCost) else None,
             family=getattr(policy, "family", None),
+            kind=kinds.declared_kind(policy),
             seconds=seconds / len(getattr(policy, "controllers", [policy])),
         )
 

@@ -56,7 +56,7 @@ class IsolatedPolicy:
         """Code that only the policy's process has imported; None: all of it is known here."""
         self.construction_ms = round(1e3 * built.seconds, 4)
         self.training_steps, self.training_minutes = built.training_steps, built.training_minutes
-        self.training_cost, self.family = built.training_cost, built.family
+        self.training_cost, self.family, self.kind = built.training_cost, built.family, built.kind
         if built.reads is not None:
             self.reads = built.reads
         self.patience = PATIENCE

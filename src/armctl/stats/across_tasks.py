@@ -91,7 +91,10 @@ def values_of(table: "pd.DataFrame", choice: Choice) -> "pd.Series[float]":
 
 @dataclass(frozen=True)
 class TaskPair:
-    """The best classical policy against the best learned one, in one setting."""
+    """The best classical policy against the best learned one, in one setting.
+
+    In a pair with the best hybrid, this takes the place of the classical policy, and its rival that of the learned one.
+    """
 
     episodes: int
     """Number of episodes that both played; of different ones, the smaller number."""
@@ -169,11 +172,18 @@ class TaskPair:
 
 
 def pairwise_by_task(
-    cells: "Mapping[str, pd.DataFrame]", undisturbed: str, classical: Choice, learned: Choice, *, paired: bool = True
+    cells: "Mapping[str, pd.DataFrame]",
+    undisturbed: str,
+    classical: Choice,
+    learned: Choice,
+    *,
+    paired: bool = True,
+    num_pairs: int = 1,
 ) -> dict[str, TaskPair]:
     """Compare both choices in each setting of a task in which both have played, on the same episodes if `paired`.
 
-    What is concluded holds at any number of episodes if that was asked for the choices.
+    What is concluded holds at any number of episodes if that was asked for the choices. This is one of `num_pairs` of
+    choices: p-values of disturbed settings are corrected for these too (Bonferroni).
     """
     scores = {name: (values_of(table, classical), values_of(table, learned)) for name, table in cells.items()}
     any_number = classical.any_number and paired
@@ -186,13 +196,17 @@ def pairwise_by_task(
         if undisturbed in pairs
         and (change := _change(scores[undisturbed], scores[setting], paired, any_number)) is not None
     }
-    change_p = dict(zip(changes, holm([change.p for change in changes.values()]), strict=True))
-    for setting, p in zip(disturbed, holm([pairs[setting].p for setting in disturbed]), strict=True):
+    change_p = dict(zip(changes, _corrected([change.p for change in changes.values()], num_pairs), strict=True))
+    for setting, p in zip(disturbed, _corrected([pairs[setting].p for setting in disturbed], num_pairs), strict=True):
         change = changes.get(setting)
         pairs[setting] = replace(
             pairs[setting], p=p, change=change.estimate if change else None, change_p=change_p.get(setting)
         )
     return pairs
+
+
+def _corrected(p_values: Sequence[float], num_pairs: int) -> list[float]:
+    return [min(1.0, num_pairs * p) for p in holm(p_values)]
 
 
 def _pair(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, ResultsError
+from armctl.core.kinds import declared_kind
 from armctl.core.registration import bare_id
 from armctl.envs import EpisodeVectorEnv, ThirdPartyVectorEnv
 from armctl.episodes.failures import PolicyDisqualified
@@ -184,6 +185,7 @@ class _Line:
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
                     tuple(name for name in getattr(policy, "foresight", ()) if name in env.foresight),
+                    declared_kind(policy),
                     isolated=hasattr(policy, "own_code"),
                     transport_ms=getattr(policy, "transport_ms", None),
                 )

@@ -1,8 +1,11 @@
-"""The policies that represent the two kinds in a task of a suite, and whether it is decided between them."""
+"""The policies that represent the kinds in a task of a suite, and whether it is decided between them."""
 
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from armctl.core.kinds import KINDS, Kind
 from armctl.episodes.stored import UNDISTURBED
 from armctl.stats.across_tasks import Choice, choose, pairwise_by_task
 from armctl.stats.difference import MARGIN
@@ -16,6 +19,9 @@ if TYPE_CHECKING:
     from armctl.rollout.seeding import SeedCheck
     from armctl.study.plan import Cell
 
+Contenders = Mapping[Kind, Choice]
+"""The choice that represents each kind that has played."""
+
 
 @dataclass
 class Task:
@@ -25,40 +31,36 @@ class Task:
     """Lower bounds by episode, as in `rollouts`."""
     seeding: "SeedCheck | None" = None
     """None before the first cell is played."""
-    contenders: tuple[Choice | None, Choice | None] = None, None
-    """The choices that represent the kinds, after the undisturbed cell of a suite."""
+    contenders: Contenders = field(default_factory=dict)
+    """Empty before the undisturbed cell of a suite was played."""
 
     def is_decided(self, cell: "Cell", so_far: Comparison, num_verdicts: int) -> bool:
         """Return True if a suite's verdict on a cell `so_far`, one of so many, is no longer undecided."""
         undisturbed = cell.setting == UNDISTURBED
-        classical, learned = contenders(so_far, any_number=True) if undisturbed else self.contenders
-        if classical is None or learned is None:
-            return False
-        return is_task_decided(so_far, classical, learned, num_verdicts)
+        choices = contenders(so_far, any_number=True) if undisturbed else self.contenders
+        pairs = list(itertools.combinations(choices.values(), 2))
+        return bool(pairs) and all(is_task_decided(so_far, *pair, num_verdicts * len(pairs)) for pair in pairs)
 
 
-def contenders(undisturbed: Comparison, any_number: bool) -> tuple[Choice | None, Choice | None]:
-    """Return the choices of the best classical and of the best learned policy; None of a kind that has not played."""
+def contenders(undisturbed: Comparison, any_number: bool) -> Contenders:
+    """Return the choices of the best policy of each kind that has played; empty if success is unknown."""
     table = success_table(undisturbed)
     if table is None:
-        return None, None
+        return {}
     rows = counted_rows(undisturbed.results)
     returns = rows.pivot(index="episode", columns="policy", values="return").reindex(table.index)
-    kinds: list[Choice | None] = []
-    for learned in (False, True):
-        names = [policy.policy for policy in undisturbed.policies if policy.learned == learned]
-        kinds.append(choose(table, returns, names, any_number) if names else None)
-    return kinds[0], kinds[1]
+    members = {kind: [policy.policy for policy in undisturbed.policies if policy.side == kind] for kind in KINDS}
+    return {kind: choose(table, returns, names, any_number) for kind, names in members.items() if names}
 
 
-def is_task_decided(cell: Comparison, classical: Choice, learned: Choice, num_verdicts: int) -> bool:
+def is_task_decided(cell: Comparison, first: Choice, second: Choice, num_verdicts: int) -> bool:
     """Return True if one choice is better in a cell, or both are equivalent, even as one of so many verdicts.
 
     Each of them has a test of success and one of steps.
     """
     if (table := success_table(cell)) is None:
         return False
-    pair = pairwise_by_task({UNDISTURBED: table}, UNDISTURBED, classical, learned).get(UNDISTURBED)
+    pair = pairwise_by_task({UNDISTURBED: table}, UNDISTURBED, first, second).get(UNDISTURBED)
     if pair is None or pair.episodes < FEWEST:
         return False
     corrected = replace(pair, p=2 * num_verdicts * pair.p, num_comparisons=num_verdicts)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from armctl.agents import read_card
 from armctl.core.errors import ArmctlError
+from armctl.core.kinds import Kind, declared_kind
 from armctl.core.registration import bare_id, load_installed
 from armctl.envs import ThirdPartyVectorEnv, task_of
 from armctl.policies import GROUP, UNSKILLED, WorldsByInterface, agent_cards, make_policy, policy_names
@@ -24,7 +25,7 @@ class SuiteSize:
     levels: tuple[float, ...]
     """Shares of the range of default levels: 0 is the level without effect, 1 the strongest."""
     one_of_each_kind: bool = False
-    """True if only a task's first classical and its first learned policy play."""
+    """True if only a task's first classical and its first learned policy play, and no hybrid."""
 
 
 FULL = SuiteSize(50, ("noise", "noise_on_state", "delay", "payload", "friction", "pushes", "mismatch"), (0.5, 1.0))
@@ -53,7 +54,7 @@ def _level(levels: Sequence[float], share: float) -> float:
 def line_up(env: str, one_of_each_kind: bool = False) -> tuple[str, ...]:
     """Return the policies of a task's suite: its default ones, experts that fit, and agents made for it.
 
-    With `one_of_each_kind`, return only the first that is not an agent, and the first agent. Raises
+    With `one_of_each_kind`, return only the first expert that is no hybrid, and the first agent. Raises
     `ConfigurationError`.
     """
     with closing(WorldsByInterface(env, 1)) as worlds:
@@ -61,8 +62,13 @@ def line_up(env: str, one_of_each_kind: bool = False) -> tuple[str, ...]:
     skilled = [name for name in names if name not in UNSKILLED] or list(names)
     if not one_of_each_kind:
         return tuple(skilled)
-    first = {name in agent_cards(): name for name in reversed(skilled)}
+    kinds = {name: "learned" if name in agent_cards() else _declared_kind(name) for name in skilled}
+    first = {kinds[name]: name for name in reversed(skilled) if kinds[name] != "hybrid"}
     return tuple(name for name in skilled if name in first.values())
+
+
+def _declared_kind(name: str) -> Kind:
+    return declared_kind(load_installed(GROUP, name, "policy")) or "classical"
 
 
 def _fits(name: str, env: str, worlds: WorldsByInterface) -> bool:

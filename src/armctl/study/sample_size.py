@@ -129,7 +129,7 @@ def _caption(tests: int, num_comparisons: int, paired: bool) -> str:
 
 def _planned(pilot: Path, unpaired: bool) -> _Planned:
     from armctl.study.results import read_comparison  # with tables of episodes, which no other plan needs
-    from armctl.verdict.sentences import verdict_pairs
+    from armctl.verdict.pairs import verdict_pairs
 
     pilot_results = read_comparison(pilot)
     pairs_by_success = [

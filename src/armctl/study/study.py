@@ -12,9 +12,10 @@ from armctl.episodes.stored import UNDISTURBED
 from armctl.stats.across_tasks import League, leagues, rank
 from armctl.study.comparison import Comparison
 from armctl.study.names import COMPARISON, SUITE, SWEEP, cell_name
+from armctl.study.suite_headline import suite_headline
 from armctl.study.suite_tables import rank_table, task_table
 from armctl.study.task_results import Sweep
-from armctl.study.task_verdict import TaskVerdict, holm_corrected, suite_headline, task_verdict
+from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.tables import Document, Remark, Table
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from armctl.stats.across_tasks import League
+from armctl.stats.across_tasks import Choice, League
 from armctl.study.task_verdict import TaskVerdict, chosen, rule_of_choice
 from armctl.verdict.summary_tables import UNCONDITIONAL
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Table, p_value, percent
@@ -11,16 +11,18 @@ from armctl.verdict.tables import UNKNOWN, Cell, Column, Table, p_value, percent
 
 def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick: bool) -> Table:
     """Return a table with a row for each task: the policies that represent the two kinds, and their difference."""
-    columns = [Column("task"), Column("classical"), Column("learned"), Column("difference"), Column("p", optional=True)]
+    hybrids = any(verdict.hybrid for verdict in verdicts)
+    kinds = ["classical", "learned", *["hybrid"] * hybrids]
+    columns = [Column(name) for name in ("task", *kinds, "difference")] + [Column("p", optional=True)]
     rows, records = [], []
     for verdict in verdicts:
         head = verdict.undisturbed
-        rates = [verdict.rate(verdict.classical), verdict.rate(verdict.learned)]
+        choices: list[Choice | None] = [getattr(verdict, kind) for kind in kinds]
         rows.append(
             [
                 Cell(verdict.task),
-                *(Cell(percent(rate).text, chosen(choice)) if choice else Cell(UNKNOWN)
-                  for rate, choice in zip(rates, (verdict.classical, verdict.learned), strict=True)),
+                *(Cell(percent(verdict.rate(choice)).text, chosen(choice)) if choice else Cell(UNKNOWN)
+                  for choice in choices),
                 percent(head.difference, "+") if head else Cell(UNKNOWN),
                 Cell(p_value(head.p) if head else UNKNOWN),
             ]
@@ -30,12 +32,13 @@ def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick:
                 "env": verdict.env, "classical": chosen(verdict.classical), "learned": chosen(verdict.learned),
                 **({"difference": asdict(head.difference), **asdict(head)} if head else {}),
                 "reversals": verdict.reversals,
+                "hybrid": chosen(verdict.hybrid), "of_hybrid": verdict.of_hybrid,
             }
         )  # fmt: skip
     early = stops_early(verdicts)
     interval = "95 % interval at any number of episodes" if early else "MOVER's 95 % interval"
     caption = (
-        f"{rule_of_choice(verdicts, quick)} Undisturbed. Difference with {interval}; "
+        f"{rule_of_choice(verdicts, quick)} Undisturbed. Difference of classical and learned, with {interval}; "
         f"p: {success_test(verdicts)}, after Holm's correction for all tasks, and for success and steps together."
     )
     title = f"{len(rows)} tasks: {'at most ' * early}{episodes} episodes of seed {seed} in each setting"

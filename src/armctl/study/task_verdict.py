@@ -1,12 +1,12 @@
-"""Verdict on a task: classical or learned, by how much, at what cost, and under which disturbances it reverses."""
+"""Verdict on a task: classical, learned or hybrid, by how much, at what cost, and under which disturbances."""
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from armctl.core.registration import bare_id, short_name
+from armctl.core.kinds import KINDS, Kind
+from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import isolation, privileges
 from armctl.runtime.provenance import looks_in_words, with_looks
@@ -22,7 +22,6 @@ from armctl.stats.across_tasks import (
 from armctl.stats.correction import holm
 from armctl.stats.difference import MARGIN, within
 from armctl.stats.intervals import FEWEST, Estimate
-from armctl.stats.robustness import listed
 from armctl.study.comparison import Comparison
 from armctl.study.contenders import contenders, success_table
 from armctl.study.task_results import Sweep
@@ -35,15 +34,19 @@ if TYPE_CHECKING:
 FIRST = "The first expert and the first agent of each task's line-up, which no result selected."
 """Policies of a quick suite, as tables and pages state them."""
 CHOSEN = (
-    "The best classical and the best learned policy. If a kind has several, every third undisturbed episode selects "
-    "the best of them, and only the other episodes evaluate it: so the choice does not bias the verdict."
+    "The best policy of each kind: classical, learned and hybrid. If a kind has several, every third undisturbed "
+    "episode selects the best of them, and only the others evaluate it: so the choice does not bias the verdict."
 )
 """Rule of `armctl.stats.across_tasks.choose`, as tables and pages state it."""
 CHOSEN_AT_FIRST = (
-    f"The best classical and the best learned policy. If a kind has several, the first {SELECTING} undisturbed "
-    "episodes select the best of them, and only the later ones evaluate it: so the choice does not bias the verdict."
+    f"The best policy of each kind: classical, learned and hybrid. If a kind has several, the first {SELECTING} "
+    "undisturbed episodes select the best, and only later ones evaluate it: so the choice does not bias the verdict."
 )
 """The same, where cells stop when they are decided."""
+
+
+RESULTS = {1: "better", 0: "not shown to be better or worse", -1: "worse"}
+"""Signs of `TaskPair.better`, of its first policy in words."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,10 @@ class TaskVerdict:
     """The numbers of episodes after which a verdict was told before."""
     spared: dict[str, set[str]] = field(default_factory=dict)
     """The policies that a setting's disturbance does not reach: they have no success in `cells` there."""
+    hybrid: Choice | None = None
+    """Choice of the best hybrid; None without any."""
+    hybrid_pairs: dict[Kind, dict[str, TaskPair]] = field(default_factory=dict)
+    """The hybrid against the classical and against the learned choice, by the rival's kind, and by setting."""
 
     @property
     def task(self) -> str:
@@ -79,14 +86,18 @@ class TaskVerdict:
 
     @property
     def contenders(self) -> list[str]:
-        """Policies that represent the two kinds."""
-        return [choice.policy for choice in (self.classical, self.learned) if choice]
+        """Policies that represent the kinds."""
+        return [choice.policy for choice in (self.classical, self.learned, self.hybrid) if choice]
 
     @property
     def shared_cells(self) -> "dict[str, pd.DataFrame]":
-        """Cells of the settings that reach both of these."""
-        contenders = set(self.contenders)
-        return {name: table for name, table in self.cells.items() if contenders.isdisjoint(self.spared.get(name, ()))}
+        """Cells of the settings that reach both the classical and the learned one."""
+        return self.cells_of(self.classical, self.learned)
+
+    def cells_of(self, *choices: Choice | None) -> "dict[str, pd.DataFrame]":
+        """Return the cells of the settings that reach all these choices."""
+        names = {choice.policy for choice in choices if choice}
+        return {name: table for name, table in self.cells.items() if names.isdisjoint(self.spared.get(name, ()))}
 
     def rate(self, choice: Choice | None) -> Estimate | None:
         """Return the undisturbed success rate of a choice, in the episodes that judge it."""
@@ -97,7 +108,7 @@ class TaskVerdict:
         """Sentence on the better kind without disturbance: by success, and if neither is better, by steps."""
         pair = self.undisturbed
         if pair is None:
-            return self._reason_for_no_pair
+            return self.reason_for_no_pair
         names = f"{chosen(self.classical)} against {chosen(self.learned)}"
         difference = points(pair.difference)
         if pair.episodes < FEWEST:
@@ -105,14 +116,16 @@ class TaskVerdict:
         margin = f"{100 * MARGIN:g} points"
         if pair.better:
             but = f", but by less than {margin}" if pair.equivalent(MARGIN) else ""
-            parts = [f"{_kind(pair.better)} is better{but}: {names}, success {difference}, p = {p_value(pair.p)}"]
+            parts = [
+                f"{kind_in_words(pair.better)} is better{but}: {names}, success {difference}, p = {p_value(pair.p)}"
+            ]
         elif pair.equivalent(MARGIN):
             tests = "" if within(pair.difference, MARGIN) else " (two one-sided tests at 5 %)"
             parts = [f"Equivalent in success within {margin}{tests}: {names}, {difference}"]
         else:
             parts = [f"Undecided: {names}, success {difference}, p = {p_value(pair.p)}"]
         if pair.faster and pair.steps:
-            kind = _kind(pair.faster).lower()
+            kind = kind_in_words(pair.faster).lower()
             parts.append(f"{kind} takes {size(pair.steps)} fewer steps, p = {p_value(pair.steps_p)}")
         parts += ["on different episodes"] * (pair.wins is not None)
         if pair.anytime is not None:
@@ -122,7 +135,8 @@ class TaskVerdict:
         return "; ".join(parts)
 
     @property
-    def _reason_for_no_pair(self) -> str:
+    def reason_for_no_pair(self) -> str:
+        """Reason why there is no verdict."""
         if not self.policies:
             return "no episode was finished undisturbed"
         if not self.cells:
@@ -150,13 +164,13 @@ class TaskVerdict:
             }
             if reversed_order:
                 settings = [f"{self.labels[name]} ({points(pair.difference)})" for name, pair in reversed_order.items()]
-                parts.append(f"the order reverses: {_kind(sign).lower()} is better with {', '.join(settings)}")
+                parts.append(f"the order reverses: {kind_in_words(sign).lower()} is better with {', '.join(settings)}")
             remaining = {name: pair for name, pair in remaining.items() if name not in reversed_order}
         for sign in (1, -1):
             shifted = {name: pair.change for name, pair in remaining.items() if pair.changed == sign and pair.change}
             settings = [f"{self.labels[name]} (by {_in_points(change)} points)" for name, change in shifted.items()]
             if settings:
-                parts.append(f"the difference shifts towards {_kind(sign).lower()} with {', '.join(settings)}")
+                parts.append(f"the difference shifts towards {kind_in_words(sign).lower()} with {', '.join(settings)}")
             remaining = {name: pair for name, pair in remaining.items() if pair.changed != sign}
         if remaining:
             others = "other " * bool(parts)
@@ -168,7 +182,8 @@ class TaskVerdict:
     @property
     def not_compared(self) -> str:
         """Sentence on settings that spare a policy which represents its kind; empty if none does."""
-        shared, contenders = self.shared_cells, set(self.contenders)
+        contenders = set(self.contenders)
+        shared = self.cells_of(self.classical, self.learned, self.hybrid)
         settings = [
             f"{self.labels[name]} (spares {', '.join(sorted(contenders & self.spared[name]))})"
             for name in self.cells
@@ -177,8 +192,23 @@ class TaskVerdict:
         return f"Not compared: {', '.join(settings)}." if settings else ""
 
     @property
+    def of_hybrid(self) -> str:
+        """Sentences on the best hybrid against the best of each other kind; empty without any."""
+        sentences = []
+        for kind, pairs in self.hybrid_pairs.items():
+            rival = chosen(self.classical if kind == "classical" else self.learned)
+            results = [
+                f"{RESULTS[pair.better]} {self.labels[name] if name == UNDISTURBED else f'with {self.labels[name]}'} "
+                f"({points(pair.difference)}, p = {p_value(pair.p)})"
+                for name, pair in pairs.items()
+                if pair.better or name == UNDISTURBED
+            ]
+            sentences.append(f"Hybrid {chosen(self.hybrid)} against {kind} {rival}: {'; '.join(results)}.")
+        return " ".join(sentences)
+
+    @property
     def costs(self) -> str:
-        """Training, decision times and privileges of the policies that represent the two kinds."""
+        """Training, decision times and privileges of the policies that represent the kinds."""
         by_name = {policy.policy: policy for policy in self.policies}
         contenders = [by_name[name] for name in self.contenders]
         parts = [words for policy in contenders for words in policy.effort]
@@ -190,12 +220,12 @@ class TaskVerdict:
 
     @property
     def context(self) -> str:
-        """Disturbances and costs: what follows the verdict."""
-        if self.undisturbed is None:
+        """Disturbances, hybrids and costs: what follows the verdict."""
+        if not (self.undisturbed or self.hybrid_pairs):
             return ""
         reversals = f"{self.reversals[:1].upper()}{self.reversals[1:]}." if self.reversals else ""
         reversals = with_looks(reversals, self.looks)
-        return " ".join(filter(None, (reversals, self.not_compared, self.costs)))
+        return " ".join(filter(None, (reversals, self.of_hybrid, self.not_compared, self.costs)))
 
 
 def task_verdict(sweep: Sweep) -> TaskVerdict:
@@ -214,96 +244,76 @@ def task_verdict(sweep: Sweep) -> TaskVerdict:
     plain = sweep.undisturbed
     if plain is None or UNDISTURBED not in tables:
         return TaskVerdict(sweep.env, plain.policies if plain else [], {}, labels)
-    classical, trained = contenders(plain, sweep.any_number)
-    verdict = TaskVerdict(sweep.env, plain.policies, tables, labels, classical, trained, {}, sweep.looks, spared)
-    pairs: dict[str, TaskPair] = {}
-    if classical and trained:
-        pairs = pairwise_by_task(verdict.shared_cells, UNDISTURBED, classical, trained, paired=sweep.paired)
+    choices = contenders(plain, sweep.any_number)
+    classical, trained, hybrid = (choices.get(kind) for kind in KINDS)
+    verdict = TaskVerdict(
+        sweep.env, plain.policies, tables, labels, classical, trained, {}, sweep.looks, spared, hybrid
+    )
+    num_pairs = math.comb(len(choices), 2)
+    rivals: dict[Kind, Choice] = {kind: choice for kind, choice in choices.items() if kind != "hybrid"}
+    hybrid_pairs = {
+        kind: _pairs(verdict, sweep, plain, (hybrid, rival), num_pairs) for kind, rival in rivals.items() if hybrid
+    }
+    pairs = _pairs(verdict, sweep, plain, (classical, trained), num_pairs) if classical and trained else {}
+    return replace(verdict, pairs=pairs, hybrid_pairs={kind: pairs for kind, pairs in hybrid_pairs.items() if pairs})
+
+
+def _pairs(
+    verdict: TaskVerdict, sweep: Sweep, plain: Comparison, choices: tuple[Choice, Choice], num_pairs: int
+) -> dict[str, TaskPair]:
+    """Return two choices against each other, by setting; undisturbed, with their difference in steps."""
+    cells = verdict.cells_of(*choices)
+    pairs = pairwise_by_task(cells, UNDISTURBED, *choices, paired=sweep.paired, num_pairs=num_pairs)
     if UNDISTURBED in pairs:
-        pairs[UNDISTURBED] = _with_steps(pairs[UNDISTURBED], plain, classical, trained)
-    return replace(verdict, pairs=pairs)
+        pairs[UNDISTURBED] = _with_steps(pairs[UNDISTURBED], plain, *choices)
+    return pairs
 
 
-def _with_steps(pair: TaskPair, plain: Comparison, classical: Choice | None, learned: Choice | None) -> TaskPair:
+def _with_steps(pair: TaskPair, plain: Comparison, first: Choice, second: Choice) -> TaskPair:
     """Add the difference in steps to the goal, a failure counting as the time limit, if that is known."""
     time_limit = plain.facts.time_limit
-    if time_limit is None or classical is None or learned is None:
+    if time_limit is None:
         return pair
     rows = counted_rows(plain.results)
     rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), time_limit))
     table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
     steps = (1.0, float(time_limit))
-    scores = values_of(table, classical), values_of(table, learned)
-    result = mean_difference(*scores, steps, plain.facts.paired, classical.any_number)
+    scores = values_of(table, first), values_of(table, second)
+    result = mean_difference(*scores, steps, plain.facts.paired, first.any_number)
     return replace(pair, steps=result.estimate, steps_p=result.p) if result else pair
 
 
 def holm_corrected(verdicts: Sequence[TaskVerdict]) -> list[TaskVerdict]:
-    """Correct the undisturbed tests for all tasks: p-values by Holm, equivalence by Bonferroni.
+    """Correct the undisturbed tests for all tasks and pairs of kinds: p-values by Holm, equivalence by Bonferroni.
 
     The tests of success and of steps are corrected together, as a verdict may state either.
     """
-    undisturbed = {verdict.env: pair for verdict in verdicts if (pair := verdict.undisturbed)}
-    tests = {(env, name): p for env, pair in undisturbed.items() for name in ("p", "steps_p")
+    undisturbed: dict[tuple[str, Kind | None], TaskPair]
+    undisturbed = {(verdict.env, None): pair for verdict in verdicts if (pair := verdict.undisturbed)}
+    for verdict in verdicts:
+        rivals = verdict.hybrid_pairs.items()
+        undisturbed |= {(verdict.env, kind): pairs[UNDISTURBED] for kind, pairs in rivals if UNDISTURBED in pairs}
+    tests = {(*key, name): p for key, pair in undisturbed.items() for name in ("p", "steps_p")
              if (p := getattr(pair, name)) is not None}  # fmt: skip
     adjusted = dict(zip(tests, holm(list(tests.values())), strict=True))
-    for env, pair in undisturbed.items():
-        undisturbed[env] = replace(
-            pair, p=adjusted[env, "p"], steps_p=adjusted.get((env, "steps_p")), num_comparisons=len(undisturbed)
+    corrected = {
+        key: replace(
+            pair, p=adjusted[(*key, "p")], steps_p=adjusted.get((*key, "steps_p")), num_comparisons=len(undisturbed)
         )
+        for key, pair in undisturbed.items()
+    }
+
+    def of(env: str, rival: Kind | None, pairs: dict[str, TaskPair]) -> dict[str, TaskPair]:
+        return pairs | {UNDISTURBED: corrected[env, rival]} if (env, rival) in corrected else pairs
+
     return [
-        replace(verdict, pairs=verdict.pairs | {UNDISTURBED: undisturbed[verdict.env]})
-        if verdict.env in undisturbed
-        else verdict
+        replace(
+            verdict,
+            pairs=of(verdict.env, None, verdict.pairs),
+            hybrid_pairs={kind: of(verdict.env, kind, pairs) for kind, pairs in verdict.hybrid_pairs.items()},
+        )
         for verdict in verdicts
     ]
-
-
-def suite_headline(verdicts: Sequence[TaskVerdict]) -> tuple[str, str]:
-    """Return two sentences: in which tasks each kind is better in success, and the details of the others.
-
-    `verdicts` are corrected for all tasks, as `Study.verdicts` is. The second one may be empty.
-    """
-    if not verdicts:
-        return "No task", ""
-    by_claim: dict[str, list[str]] = {"classical is better": [], "learned is better": []}
-    faster: dict[str, list[str]] = {"classical takes fewer steps": [], "learned takes fewer steps": []}
-    details = []
-    for verdict, task in zip(verdicts, _brief_names(verdicts), strict=True):
-        claim, detail = _claim(verdict)
-        by_claim.setdefault(claim, []).append(task)
-        details += [f"{task}: {detail}"] if detail else []
-        if verdict.undisturbed and verdict.undisturbed.faster:
-            faster[f"{_kind(verdict.undisturbed.faster).lower()} takes fewer steps"].append(task)
-    claims, steps = (
-        [f"{claim} in {listed(tasks)}" for claim, tasks in named.items() if tasks] for named in (by_claim, faster)
-    )
-    looks = sorted({episodes for verdict in verdicts for episodes in verdict.looks})
-    details += [*steps, *([looks_in_words(looks)] if looks else [])]
-    return f"Of {len(verdicts)} task{'s' * (len(verdicts) > 1)}, by success: {'; '.join(claims)}", "; ".join(details)
-
-
-def _brief_names(verdicts: Sequence[TaskVerdict]) -> list[str]:
-    """Return the tasks' names without versions, unless these tell two of them apart."""
-    names = [short_name(verdict.env) for verdict in verdicts]
-    brief = [re.sub(r"-v\d+$", "", name) for name in names]
-    return brief if len(set(brief)) == len(set(names)) else names
-
-
-def _claim(verdict: TaskVerdict) -> tuple[str, str]:
-    """Return what holds in a task, undisturbed, and a detail; empty without any."""
-    pair = verdict.undisturbed
-    if pair is None:
-        return "no verdict", verdict._reason_for_no_pair
-    if pair.episodes < FEWEST:
-        return "no verdict", f"{pair.episodes} episode{'s' * (pair.episodes > 1)}"
-    margin = f"{100 * MARGIN:g} points"
-    if pair.better:
-        return f"{_kind(pair.better).lower()} is better", f"by less than {margin}" if pair.equivalent(MARGIN) else ""
-    if pair.equivalent(MARGIN):
-        return f"equivalent within {margin}", ""
-    largest = max(map(abs, pair.equivalence_interval.bounds))
-    return "undecided", f"up to {math.ceil(1000 * largest) / 10:g} points apart after {pair.episodes} episodes"
 
 
 def _in_points(share: Estimate) -> str:
@@ -311,7 +321,8 @@ def _in_points(share: Estimate) -> str:
     return size(Estimate(100 * share.value, low, high))
 
 
-def _kind(sign: int) -> str:
+def kind_in_words(sign: int) -> str:
+    """Return the kind that a sign of a `TaskPair` stands for."""
     return "Classical" if sign > 0 else "Learned"
 
 
@@ -319,7 +330,7 @@ def rule_of_choice(verdicts: Sequence[TaskVerdict], quick: bool) -> str:
     """Return how policies were chosen to represent their kinds, in a sentence."""
     if quick:
         return FIRST
-    choices = (choice for verdict in verdicts for choice in (verdict.classical, verdict.learned))
+    choices = (choice for verdict in verdicts for choice in (verdict.classical, verdict.learned, verdict.hybrid))
     return CHOSEN_AT_FIRST if any(choice and choice.any_number for choice in choices) else CHOSEN
 
 

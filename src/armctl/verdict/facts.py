@@ -7,6 +7,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from armctl.agents.costs import TrainingCost
+from armctl.core.kinds import Kind
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 UNDECLARED: Literal["not declared"] = "not declared"
@@ -34,8 +35,8 @@ class PolicyFacts:
     """Kind of method, such as `MPC`; None: it declares none."""
     foresight: tuple[str, ...] = ()
     """Foresight that it declares, of what this environment has: keys of `FORESIGHT`."""
-    kind: Literal["learned", "classical", "not declared"] | None = None
-    """Kind of policy as it was declared for results made elsewhere; None: its training cost tells."""
+    kind: Kind | Literal["not declared"] | None = None
+    """Kind of policy as it was declared; None: it is learned if it was trained, or else classical."""
     isolated: bool = False
     """True if it played in a process of its own, which got observations only."""
     transport_ms: Finite | None = None

@@ -5,16 +5,16 @@ First by success; where that does not differ significantly, by the steps to the 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from armctl.episodes.table import EpisodeTable
-from armctl.policies import isolation, policy_names, privileges
+from armctl.policies import isolation, privileges
 from armctl.runtime.provenance import looks_in_words
-from armctl.stats.correction import AdjustedP, holm_adjusted
 from armctl.stats.difference import MARGIN, SIGNIFICANT, Difference, significant, within
-from armctl.stats.intervals import FEWEST, Estimate
+from armctl.stats.intervals import FEWEST
 from armctl.stats.power import episodes_to_detect, episodes_to_show_equivalence
 from armctl.verdict.facts import Facts
+from armctl.verdict.pairs import Pair, verdict_pairs
 from armctl.verdict.summary import PolicySummary, summarise
 from armctl.verdict.tables import UNKNOWN, p_value, points, size
 
@@ -22,38 +22,6 @@ ANY_NUMBER = 1.5
 """Episodes that a test which holds at any number of them takes for a power of 80 %, over those of a fixed number.
 
 It is 1.0 to 1.8 in `benchmarks/sequential.py --table power`."""
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two policies, the better one first."""
-
-    first: PolicySummary
-    second: PolicySummary
-    difference: Difference
-    """The first minus the second."""
-    p: AdjustedP
-    num_comparisons: int
-    """Number of pairs from which this one was chosen by their results, or which are in the same verdict."""
-
-    @property
-    def success(self) -> Estimate | None:
-        """Difference in success; None if it is unknown. The interval holds at once for all `num_comparisons`."""
-        return self.difference.success_among(self.num_comparisons)
-
-    def among(self, num_verdicts: int) -> "Pair":
-        """Return the pair, corrected for so many verdicts."""
-        return replace(self, p=self.p.among(num_verdicts), num_comparisons=self.num_comparisons * num_verdicts)
-
-    @property
-    def interval_in_words(self) -> str:
-        """Number of pairs for which that interval holds, where it contains 0 though Holm's p is significant.
-
-        Each holds for all pairs, and a step of Holm's only for those that are left; empty otherwise.
-        """
-        low, high = self.success.bounds if self.success else (math.nan, math.nan)
-        refuted = self.num_comparisons > 1 and self.p.success is not None and self.p.success < SIGNIFICANT
-        return f"interval for {self.num_comparisons} pairs at once" if refuted and low <= 0 <= high else ""
 
 
 @dataclass(frozen=True)
@@ -80,7 +48,7 @@ def verdict(
     overwritten: Sequence[int] = (),
     at_most: int | None = None,
 ) -> Verdict:
-    """Return the verdict on the best classical and the best learned policy, or on the two best, with their costs.
+    """Return the verdict on the best policies of each kind, each against each, or on the two best, with their costs.
 
     With `baseline`, every other policy is compared with it instead. Policies that did not come with armctl are always
     named. The best have the highest success rate, or return where success is unknown. `margin` is the difference in
@@ -99,8 +67,10 @@ def verdict(
         return Verdict(_joined(*remarks))
     first, *others = (_sentences(pair, margin, _validity(pair, looks, overwritten, at_most)) for pair in pairs)
     further = (sentence for sentences in others for sentence in sentences)
-    context = _joined(*first[1:], *further, _effort(pairs[0]), _privileges(pairs[0]), _scope(pairs), *remarks)
-    return Verdict(first[0], _decision_times(pairs[0]), context)
+    main = _main_policies(pairs)
+    sees = privileges({policy.policy: policy.privilege for policy in main})
+    context = _joined(*first[1:], *further, _effort(main), sees, _scope(pairs), *remarks)
+    return Verdict(first[0], _decision_times(main), context)
 
 
 def is_decided(results: EpisodeTable, facts: Facts, num_verdicts: int = 1) -> bool:
@@ -119,62 +89,6 @@ def _decided(pair: Pair, margin: float) -> bool:
 
 def _joined(*sentences: str) -> str:
     return " ".join(filter(None, sentences))
-
-
-def verdict_pairs(
-    policies: Sequence[PolicySummary], differences: Sequence[Difference], baseline: str | None
-) -> list[Pair]:
-    """Return the pairs of a verdict, the most important one first. A `baseline` that has not played is none.
-
-    There is no pair with a policy that a disturbance does not affect: none at all if it is the baseline.
-    """
-    baseline = next((policy.policy for policy in policies if policy.policy == baseline), None)
-    policies = [policy for policy in policies if not policy.spared]
-    if len(policies) < 2 or baseline not in (None, *(policy.policy for policy in policies)):
-        return []
-    chosen = _chosen_pairs(policies, baseline)
-    num_comparisons = _num_comparisons(policies, len(chosen), baseline)
-    by_name = {policy.policy: policy for policy in policies}
-    adjusted = holm_adjusted(differences, baseline)
-    pairs = []
-    for names in chosen:
-        i = next(i for i, pair in enumerate(differences) if {pair.a, pair.b} == set(names))
-        difference, gain = differences[i], _gain(differences[i])
-        if gain < 0 or (not gain > 0 and difference.a != names[0]):
-            difference = difference.reversed()
-        first, second = by_name[difference.a], by_name[difference.b]
-        pairs.append(Pair(first, second, difference, adjusted[i], num_comparisons))
-    return pairs
-
-
-def _chosen_pairs(policies: Sequence[PolicySummary], baseline: str | None) -> list[tuple[str, str]]:
-    ranked = sorted(policies, key=lambda policy: _rank(policy.success, policy.episode_return), reverse=True)
-    names = [policy.policy for policy in ranked]
-    if baseline:
-        return [(baseline, name) for name in names if name != baseline]
-    classical = [policy.policy for policy in ranked if not policy.learned]
-    learned = [policy.policy for policy in ranked if policy.learned]
-    best = (classical[0], learned[0]) if classical and learned else (names[0], names[1])
-    foreign = [name for name in names if name not in policy_names() and name not in best]
-    return [best, *((name, best[names.index(best[1]) < names.index(best[0])]) for name in foreign)]
-
-
-def _num_comparisons(policies: Sequence[PolicySummary], num_chosen: int, baseline: str | None) -> int:
-    """Return the number of pairs among which the best two were chosen; all pairs if a verdict has further ones."""
-    learned = sum(policy.learned for policy in policies)
-    mixed = learned * (len(policies) - learned)
-    if baseline:
-        return num_chosen
-    return mixed if mixed and num_chosen == 1 else math.comb(len(policies), 2)
-
-
-def _gain(pair: Difference) -> float:
-    """Return by how much a is better than b, by the first figure in which they differ at all; 0 if there is none."""
-    success, steps = pair.success_difference, pair.steps_difference
-    if success is None and pair.return_p is None:
-        return pair.superiority.probability.value - 0.5
-    gains = (success.value if success else 0.0, -steps.value if steps else 0.0, pair.return_difference.value)
-    return next(filter(None, gains), 0.0)
 
 
 def _validity(pair: Pair, looks: Sequence[int], overwritten: Sequence[int], at_most: int | None) -> str:
@@ -245,34 +159,38 @@ def _plan(pair: Pair, margin: float) -> str:
     return f"To resolve a {100 * margin:g}-point difference, run about {rounded:,} more episodes"
 
 
-def _decision_times(pair: Pair) -> str:
-    """Return the decision times of both policies, and the decisions of their training."""
-    policies = (pair.first, pair.second)
+def _main_policies(pairs: Sequence[Pair]) -> list[PolicySummary]:
+    """Return the policies of the first pair, and the first one of any other kind."""
+    main = [pairs[0].first, pairs[0].second]
+    for pair in pairs[1:]:
+        main += [policy for policy in (pair.first, pair.second) if policy.side not in {other.side for other in main}]
+    return main
+
+
+def _decision_times(policies: Sequence[PolicySummary]) -> str:
+    """Return the policies' decision times, and the decisions of their training."""
     if all(math.isnan(policy.decision_ms_p50) for policy in policies):
         return ""
     times = ", ".join(f"{policy.policy} {policy.decision_time}{policy.training.brief}" for policy in policies)
-    return f"Median decision time: {times}{_timing(pair)}."
+    return f"Median decision time: {times}{_timing(policies)}."
 
 
-def _effort(pair: Pair) -> str:
-    """Return the effort of training both policies; empty if neither was trained."""
-    efforts = "; ".join(words for policy in (pair.first, pair.second) for words in policy.effort)
+def _effort(policies: Sequence[PolicySummary]) -> str:
+    """Return the effort of training the policies; empty if none was trained."""
+    efforts = "; ".join(words for policy in policies for words in policy.effort)
     return f"{efforts}." if efforts else ""
 
 
-def _timing(pair: Pair) -> str:
+def _timing(policies: Sequence[PolicySummary]) -> str:
     """Return the kind of these times, unless they are latencies."""
-    kinds = dict.fromkeys(policy.timing for policy in (pair.first, pair.second))
+    kinds = dict.fromkeys(policy.timing for policy in policies)
     return f" ({', '.join(kind or 'latencies' for kind in kinds)})" if any(kinds) else ""
 
 
-def _privileges(pair: Pair) -> str:
-    return privileges({policy.policy: policy.privilege for policy in (pair.first, pair.second)})
-
-
 def _scope(pairs: Sequence[Pair]) -> str:
-    """Return for which learned policies the result holds for one network, and for which it holds for a recipe."""
-    learned = {policy.policy: policy for pair in pairs for policy in (pair.first, pair.second) if policy.learned}
+    """Return for which policies with a network the result holds for that, and for which it holds for a recipe."""
+    policies = {policy.policy: policy for pair in pairs for policy in (pair.first, pair.second)}
+    learned = {name: policy for name, policy in policies.items() if policy.side != "classical"}
     parts = [
         f"for {name} as a recipe ({len(policy.trainings)} trainings)"
         if policy.trainings
@@ -343,7 +261,3 @@ def _not_tested(policies: Sequence[PolicySummary]) -> str:
     """Return a sentence on the policies that a disturbance does not affect, which are in no pair; empty without any."""
     parts = [f"{policy.policy} ({', '.join(policy.spared)})" for policy in policies if policy.spared]
     return f"Not tested, because the disturbance does not affect them: {', '.join(parts)}." if parts else ""
-
-
-def _rank(success: Estimate | None, episode_return: Estimate | None) -> tuple[float, float]:
-    return (success.value if success else 0.0, episode_return.value if episode_return else 0.0)

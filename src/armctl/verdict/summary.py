@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.agents.costs import TrainingCost, mean_cost
+from armctl.core.kinds import KINDS, Kind
 from armctl.envs import ERROR, UNSTABLE, privilege_in_words
 from armctl.episodes.table import EpisodeTable
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
@@ -117,9 +118,9 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     """Kind of policy as `PolicyFacts` has it."""
 
     @property
-    def learned(self) -> bool:
-        """True if it was trained."""
-        return self.training.steps > 0 or self.kind == "learned"
+    def side(self) -> Kind:
+        """Kind on which verdicts count it: the declared one; or else learned if it was trained, classical if not."""
+        return next((kind for kind in KINDS if kind == self.kind), KINDS[self.training.steps > 0])
 
     @property
     def interventions(self) -> list[str]:

@@ -87,14 +87,14 @@ def break_evens(policies: Sequence[PolicySummary], curves: Mapping[str, pd.DataF
     the comparison, after its whole training. Agents are left out if their decisions are unknown, and all are if there
     is no expert.
     """
-    experts = [policy for policy in policies if not policy.learned and policy.success]
+    experts = [policy for policy in policies if policy.side == "classical" and policy.success]
     if not experts:
         return []
     best = max(experts, key=_success)
     crossings = []
     for policy in policies:
         curve = cost_curve(policy, curves.get(policy.policy))
-        if not policy.learned or curve.empty:
+        if policy.side == "classical" or curve.empty:
             continue
         rows = curve.to_dict("records")
         reached = next((row for row in rows if row["success"] >= _success(best)), None)
