@@ -3,9 +3,9 @@
     python benchmarks/arms.py [--episodes 24] [--seed 0] [--policy reach_mpc] [--arm UR5e] [--cache arms]
 
 Arms are the named ones, the same as files, and the files of `arms.csv`: without a wheel they are example-robot-data's;
-the others are in wheels that pip downloads, by their checksums in `arms_wheels.txt`. A file says nothing of pairs of
+the others are in wheels that pip downloads, by their checksums in `arms_wheels.txt`. A URDF says nothing of pairs of
 links that cannot touch, nor of a home: the arm starts with its joints at zero, or in the middle of their range, or
-above the floor if that is in it. Xacro files need `pip install xacrodoc`.
+above the floor if that is in it. Xacro files need `pip install xacrodoc`. Repairs are those that armctl's notes tell.
 
 All targets can be reached and all layouts have a path, so each episode counts. `--policy reach_mppi` takes minutes an
 arm.
@@ -40,6 +40,12 @@ LINE_UP = (
     ("reach_mpc", OBSTACLES), ("reach_ompl", OBSTACLES),
 )  # fmt: skip
 """Policies, and environments for which they were made; the others do not see boxes."""
+REPAIRS = {
+    "no velocity limit": "velocities", "no effort limit": "efforts", "filled at": "masses",
+    "added up": "links added up", "were raised": "moments raised", "that of its shapes": "inertia of shapes",
+    "to have no mass": "light frames", "by its name": "tip by name", "Home is": "home above floor",
+}  # fmt: skip
+"""Texts in notes, and the repairs that they are about."""
 PLATFORM = ("--only-binary", ":all:", "--python-version", "3.11", "--platform", "manylinux_2_28_x86_64")
 """One wheel of each, whatever runs this: their files are only read."""
 
@@ -57,22 +63,36 @@ class Arm:
     """Folder in the wheel that lacks a `package.xml`."""
     replaced: str = ""
     replacement: str = ""
+    density: str = ""
+    """kg/m^3"""
+
+    @property
+    def kind(self) -> str:
+        """Format of the file, and where it comes from."""
+        if self.file in BUILTIN_ARMS:
+            return "named"
+        kind = {".xml": "MJCF", ".urdf": "URDF"}.get(Path(self.file).suffix, "xacro")
+        return f"{kind}, {self.wheel or 'example-robot-data'}"
 
     def options(self, cache: Path) -> dict[str, Any]:
         """Return the environment's options; raises `ArmctlError` if armctl cannot read the arm."""
-        tip = {"tip": self.tip} if self.tip else {}
+        more: dict[str, Any] = {"tip": self.tip} if self.tip else {}
+        if self.density:
+            more["density"] = float(self.density)
         if self.file in BUILTIN_ARMS:
             return {"robot": self.file}
         if not self.wheel:
-            return {"robot": str(robot_data() / self.file), **tip}
+            return {"robot": str(robot_data() / self.file), **more}
         folder = cache / self.wheel
         if self.package:
             (folder / self.package / "package.xml").touch()
         path = folder / self.file
+        if path.suffix == ".xml":
+            return {"robot": str(path), **more}
         text = expanded(path, folder) if "xacro:" in path.read_text() else path.read_text()
         copy = path.with_name(f"{path.name.split('.')[0]}_read.urdf")
         copy.write_text(text.replace(self.replaced, self.replacement) if self.replaced else text)
-        return {"robot": str(copy), **tip}
+        return {"robot": str(copy), **more}
 
 
 def expanded(path: Path, folder: Path) -> str:
@@ -138,21 +158,22 @@ def main(
         fetch(cache)
     columns = list(LINE_UP) if policy is None else [(name, env) for name in policy for env in envs_of(name)]
     heads = (f"`{name}`{' among boxes' if env == OBSTACLES else ''}" for name, env in columns)
-    table = markdown_table(f"episodes won of {episodes}", "joints", *heads)
+    table = markdown_table(f"episodes won of {episodes}", "file", "joints", "repaired", *heads)
     refused = markdown_table("arm", "cannot be played")
     totals = np.zeros(len(columns), int)
     for each in progress(chosen):
         try:
             options = each.options(cache)
-            dof = load_arm(**options).dof
+            robot = load_arm(**options)
+            repairs = ", ".join(word for text, word in REPAIRS.items() if any(text in note for note in robot.notes))
             row = list(cells(options, columns, episodes, seed))
         except ArmctlError as error:
             refused.add_row(each.name, str(error))
             continue
         totals += np.array(row, int)
-        table.add_row(each.name, str(dof), *row)
+        table.add_row(each.name, each.kind, str(robot.dof), repairs, *row)
     shares = totals / max(1, episodes * len(table.rows))
-    table.add_row("all", "", *(f"{share:.1%}" for share in shares))
+    table.add_row("all", "", "", "", *(f"{share:.1%}" for share in shares))
     show(table)
     if refused.rows:
         show(refused)

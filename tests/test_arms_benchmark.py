@@ -20,8 +20,8 @@ def arms(monkeypatch):
 def test_an_arm_is_played(arms, capsys, tmp_path):
     arms["main"](episodes=3, policy=["reach_ik"], arm=["two joints"], cache=tmp_path)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()]
-    assert ["two joints", "2", "3"] in rows
-    assert ["all", "", "100.0%"] in rows
+    assert ["two joints", "URDF, example-robot-data", "2", "", "3"] in rows
+    assert ["all", "", "", "", "100.0%"] in rows
 
 
 def test_a_refused_arm_has_a_reason(arms, capsys, monkeypatch, tmp_path):

@@ -166,8 +166,9 @@ def _robot(robot: str, tip: str | None) -> Iterable["RenderableType"]:
     table.add_row(_bold("robot"), arm.name)
     table.add_row(_bold("end-effector"), arm.tip)
     joints = (
-        (name, f"{low:.4g} to {high:.4g} rad, {speed:.4g} rad/s, {effort:.4g} N m, home {home:.4g}")
+        (name, f"{low:.4g} to {high:.4g} {unit}, {speed:.4g} {unit}/s, {effort:.4g} {torque}, home {home:.4g}")
         for name, low, high, speed, effort, home in rows
+        for unit, torque in [("m", "N") if name in arm.sliding else ("rad", "N m")]
     )
     _add_rows(table, "joints", joints)
     _add_rows(table, "notes", (("", note) for note in arm.notes or ("none",)))

@@ -4,7 +4,8 @@ An arm is an array (dof,) of `JOINT`: of each joint's frame in the one before it
 
     rotation = base + sin(q) sine + (1 - cos(q)) versine,   origin = offset
 
-by Rodrigues' formula. `tip` and `tip_rotation` of the last one are the end-effector's position and axes in its frame.
+by Rodrigues' formula; of a joint that `slides`, rotation = base and origin = offset + q slide. `tip` and `tip_rotation`
+of the last one are the end-effector's position and axes in its frame.
 Frames in the base are `rotations` (dof, 3, 3) and `origins` (dof, 3).
 """
 
@@ -21,6 +22,8 @@ JOINT = np.dtype(
         *((name, *VECTOR) for name in ("offset", "axis", "tip")),
         ("tip_rotation", *MATRIX),
         *((name, float) for name in ("lower", "upper", "top", "acceleration")),
+        ("slides", int),
+        ("slide", *VECTOR),
     ]
 )
 
@@ -28,15 +31,17 @@ JOINT = np.dtype(
 @compiled
 def forward(joints, q, rotations, origins):
     """Compute the frames of all joints at q (dof,)."""
-    turn = np.empty((3, 3))
+    turn, offset = np.empty((3, 3)), np.empty(3)
     for k in range(len(joints)):
         joint, sine, versine = joints[k], math.sin(q[k]), 1 - math.cos(q[k])
+        for i in range(3):
+            offset[i] = joint.offset[i] + q[k] * joint.slide[i] if joint.slides else joint.offset[i]
         for i in range(3):
             for j in range(3):
                 turn[i, j] = joint.base[i, j] + sine * joint.sine[i, j] + versine * joint.versine[i, j]
         if k == 0:
             for i in range(3):
-                origins[0, i] = joint.offset[i]
+                origins[0, i] = offset[i]
                 for j in range(3):
                     rotations[0, i, j] = turn[i, j]
             continue
@@ -44,7 +49,7 @@ def forward(joints, q, rotations, origins):
             x, y, z = rotations[k - 1, i]
             for j in range(3):
                 rotations[k, i, j] = x * turn[0, j] + y * turn[1, j] + z * turn[2, j]
-            origins[k, i] = origins[k - 1, i] + x * joint.offset[0] + y * joint.offset[1] + z * joint.offset[2]
+            origins[k, i] = origins[k - 1, i] + x * offset[0] + y * offset[1] + z * offset[2]
 
 
 @compiled
@@ -84,13 +89,23 @@ def axes_of(joints, rotations, axes):
 
 
 @compiled
-def gradients_of(axes, origins, point, out):
-    """Compute the motion (dof, 3) of a point of the last link by each joint, m/rad: axis x (point - origin)."""
-    lever = np.empty(3)
-    for k in range(len(axes)):
+def gradient_of(joint, axis, origin, point, out):
+    """Compute the motion (3,) of a point by a joint, m/rad: axis x (point - origin), or axis if the joint slides."""
+    if joint.slides:
         for i in range(3):
-            lever[i] = point[i] - origins[k, i]
-        cross(axes[k], lever, out[k])
+            out[i] = axis[i]
+    else:
+        lever = np.empty(3)
+        for i in range(3):
+            lever[i] = point[i] - origin[i]
+        cross(axis, lever, out)
+
+
+@compiled
+def gradients_of(joints, axes, origins, point, out):
+    """Compute the motion (dof, 3) of a point of the last link by each joint, m/rad."""
+    for k in range(len(axes)):
+        gradient_of(joints[k], axes[k], origins[k], point, out[k])
 
 
 @compiled
@@ -107,7 +122,7 @@ def linearise(joints, q, memory):
     forward(joints, q, rotations, origins)
     tip_of(joints, rotations, origins, tip)
     axes_of(joints, rotations, axes)
-    gradients_of(axes, origins, tip, gradients)
+    gradients_of(joints, axes, origins, tip, gradients)
     return tip, gradients
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.kernels.arm import axes_of, cross, forward
+from armctl.kernels.arm import axes_of, forward, gradient_of
 from armctl.kernels.capsules import ends_at, place, segments_distance, shares_on_segments
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.edges import FLOOR_END, LINKS
@@ -105,19 +105,17 @@ def measure(links, pairs, boxes, samples, scales, ends, out):
 
 
 @compiled
-def add_motion(axes, origins, joint, point, normal, sign, row):
+def add_motion(chain, joint, point, normal, sign, row):
     """Add to `row` (dof,) how fast joints move a point (3,) of the frame of `joint` along a normal (3,), m/rad."""
-    lever, moved = np.empty(3), np.empty(3)
+    moved, (joints, axes, origins) = np.empty(3), chain
     for k in range(joint):
-        for i in range(3):
-            lever[i] = point[i] - origins[k, i]
-        cross(axes[k], lever, moved)
+        gradient_of(joints[k], axes[k], origins[k], point, moved)
         row[k] += sign * (normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2])
 
 
 @compiled
-def gradient(links, pair, boxes, samples, ends, axes, origins, row):
-    """Compute the gradient (dof,) of a pair's distance without its scale, m/rad."""
+def gradient(links, pair, boxes, samples, ends, chain, row):
+    """Compute the gradient (dof,) of a pair's distance without its scale, m/rad; `chain`: joints, axes, origins."""
     point, foot, normal = np.empty(3), np.empty(3), np.zeros(3)
     row[:] = 0.0
     if pair.kind == LINKS:
@@ -130,14 +128,14 @@ def gradient(links, pair, boxes, samples, ends, axes, origins, row):
             length += normal[i] * normal[i]
         for i in range(3):
             normal[i] /= max(math.sqrt(length), 1e-9)
-        add_motion(axes, origins, links[pair.other].joint, foot, normal, -1.0, row)
+        add_motion(chain, links[pair.other].joint, foot, normal, -1.0, row)
     elif pair.kind == FLOOR_END:
         copy_to(ends[pair.link, pair.other], point)
         normal[2] = 1.0
     else:
         point_on(ends[pair.link], nearest_sample(ends[pair.link], samples[pair.link], boxes[pair.other])[0], point)
         box_normal(point, boxes[pair.other], normal)
-    add_motion(axes, origins, links[pair.link].joint, point, normal, 1.0, row)
+    add_motion(chain, links[pair.link].joint, point, normal, 1.0, row)
 
 
 @compiled
@@ -171,7 +169,7 @@ def nearest_pairs(scene, q, distances, gradients):
         for i in range(len(pairs)):
             if pair_distances[i] <= furthest and column < count:
                 distances[row, column] = pair_distances[i]
-                gradient(links, pairs[i], boxes, samples, ends, axes, origins, gradients[row, column])
+                gradient(links, pairs[i], boxes, samples, ends, (joints, axes, origins), gradients[row, column])
                 for k in range(dof):
                     gradients[row, column, k] *= scales[i]
                 column += 1

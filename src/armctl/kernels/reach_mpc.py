@@ -141,7 +141,10 @@ def evaluate_knots(scene, targets, knots, min_distances):
         forward(joints, q[k], rotations, origins)
         tip_of(joints, rotations, origins, tip)
         axes_of(joints, rotations, axes[k])
-        gradients_of(axes[k], origins, tip, gradients[k])
+        gradients_of(joints, axes[k], origins, tip, gradients[k])
+        for i in range(dof):
+            if joints[i].slides:
+                axes[k, i] = 0.0  # such a joint turns nothing, which its axis stands for in second derivatives
         for i in range(3):
             errors[k, i] = tip[i] - targets[k, i]
         if len(pairs):

@@ -29,7 +29,7 @@ SAME = 1e-9
 
 def six_joints(model: ArmModel) -> ClosedForm | None:
     """Return EAIK's closed form for the arm, or None if it has no decomposition for it."""
-    if model.dof != 6:
+    if model.dof != 6 or model.description.sliding:
         return None
     origins = [np.zeros(3)]
     axes = []

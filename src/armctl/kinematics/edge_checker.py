@@ -81,28 +81,33 @@ class ArmShapes:
 
     def _lowest_on_second_joint(self, point: Array) -> float:
         """Return the lowest height (m) of a `point` (3,) in the second joint's frame; -inf if unknown."""
-        if not self._on_upright:
-            return -np.inf
         first, second = self.model.joints[:2]
+        if not self._on_upright or second["slides"]:
+            return -np.inf
         axis, upward = self.model.axes[1], float((first["base"] @ second["base"] @ self.model.axes[1])[2])
         height = (first["offset"] + first["base"] @ second["offset"])[2] + (axis @ point) * upward
         return float(height - _off_axis(point, axis) * np.sqrt(max(0.0, 1 - upward**2)))
 
     def _bounds(self, joint: int, ends: Array, radius: float) -> tuple[Array, float]:
-        """Bound the distance (m) of a shape's points from each joint's axis (dof,) and from the shoulder.
+        """Bound how far a shape's points move with each joint (dof,) m/rad, and their distance (m) from the shoulder.
+
+        The former is their distance from the joint's axis.
 
         Its points are within `radius` of a segment between `ends` (k, 3), in the frame of `joint`.
         """
         radii = np.zeros(self.model.dof)
         if joint == 0:
             return radii, 0.0
+        joints, limits = self.model.joints, self.model.limits
+        slides = joints["slides"] * np.maximum(abs(limits.lower), abs(limits.upper))
         radii[joint - 1] = max(_off_axis(end, self.model.axes[joint - 1]) for end in ends) + radius
         reach = max(float(np.linalg.norm(end)) for end in ends) + radius
         for i in range(joint - 1, 0, -1):
-            offset = self.model.joints[i]["offset"]
-            radii[i - 1] = _off_axis(offset, self.model.axes[i - 1]) + reach
-            reach += float(np.linalg.norm(offset))
-        return radii, reach
+            offset = joints[i]["offset"]
+            radii[i - 1] = _off_axis(offset, self.model.axes[i - 1]) + slides[i] + reach
+            reach += float(np.linalg.norm(offset)) + slides[i]
+        radii[:joint][joints["slides"][:joint] > 0] = 1.0  # a joint that slides moves all points alike
+        return radii, reach + slides[0]
 
 
 class EdgeChecker:

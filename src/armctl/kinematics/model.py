@@ -11,6 +11,7 @@ import pinocchio
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.arrays import Array
+from armctl.core.errors import ConfigurationError
 from armctl.kernels import arm, capsules, drives
 from armctl.kinematics.records import Records, box_records, joint_records, link_records
 from armctl.robot_description import ArmDescription, load_arm
@@ -30,6 +31,8 @@ class ArmModel:
         self.dof = self.description.dof
         self.home = self.description.home
         self.pinocchio = pinocchio.buildModelFromXML(self.description.urdf)
+        if self.description.armature:
+            self.pinocchio.armature = np.array(self.description.armature)
         self.tip = link_frame(self.pinocchio, self.description.tip)
         self._data = self.pinocchio.createData()
         self.boxes = NO_BOXES
@@ -187,7 +190,11 @@ class ArmModel:
 
         `base`, `sine`, `versine` are (dof, 3, 3), `offset` is (dof, 3). Points (p, 3) are in the frame of their `joint`
         (p,), which counts from 1, at most `spacing` (m) apart; `radii` (p,) are the links' radii, m.
+
+        Raises `ConfigurationError` for an arm with joints that slide.
         """
+        if sliding := self.description.sliding:
+            raise ConfigurationError(f"networks that know an arm's links take joints that turn; {sliding[0]!r} slides")
         joint, points, radii = [], [], []
         for link in self.links[self.links["joint"] > 0]:
             number = 1 + math.ceil(float(np.linalg.norm(link["end"] - link["start"])) / spacing)
@@ -209,7 +216,12 @@ class ArmModel:
         jacobians = (
             pinocchio.getJointJacobian(self.pinocchio, self._data, i + 1, pinocchio.LOCAL) for i in range(self.dof)
         )
-        return np.array([jacobian.reshape(6, self.dof)[3:, i] for i, jacobian in enumerate(jacobians)])
+        columns = [jacobian.reshape(6, self.dof)[:, i] for i, jacobian in enumerate(jacobians)]
+        sliding = self.description.sliding
+        return np.array([
+            column[:3] if name in sliding else column[3:]
+            for name, column in zip(self.description.joints, columns, strict=True)
+        ])  # fmt: skip
 
     def _rows(self, q: ArrayLike) -> Array:
         """Return a batch (..., dof) as (n, dof), the one layout for which kernels are compiled."""

@@ -17,7 +17,12 @@ Records = NDArray[np.void]
 def joint_records(model: pinocchio.Model, axes: NDArray[np.float64], description: ArmDescription) -> Records:
     """Return the joints (dof,) of an arm, whose `axes` (dof, 3) are in their own frames."""
     joints = np.zeros(description.dof, JOINT)
+    joints["slides"] = [name in description.sliding for name in description.joints]
     for joint, placement, axis in zip(joints, model.jointPlacements[1:], axes, strict=True):
+        if joint["slides"]:
+            joint["base"], joint["offset"] = placement.rotation, placement.translation
+            joint["slide"] = placement.rotation @ axis
+            continue
         turn = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
         joint["base"], joint["offset"] = placement.rotation, placement.translation
         joint["sine"], joint["versine"] = placement.rotation @ turn, placement.rotation @ turn @ turn

@@ -1,4 +1,4 @@
-"""Arm descriptions: `load_arm` reads a URDF into an `ArmDescription`.
+"""Arm descriptions: `load_arm` reads a URDF, xacro or MJCF into an `ArmDescription`.
 
 Pinocchio and MuJoCo both build their models from it, so they cannot disagree.
 """
@@ -7,21 +7,23 @@ import functools
 import itertools
 import sysconfig
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.core.errors import ConfigurationError, unknown_name
+from armctl.core.errors import ConfigurationError
 from armctl.kernels.drives import DRIVE
 from armctl.robot_description.builtin import BUILTIN_ARMS, MAX_ACCELERATION
 from armctl.robot_description.capsules import Capsule, enclosing_capsule
-from armctl.robot_description.collision_pairs import Pair, pairs_worth_testing, posture_above_floor
+from armctl.robot_description.collision_pairs import CollisionPairs, Pair, pairs_worth_testing, posture_above_floor
 from armctl.robot_description.drawn_shapes import drawn_shapes
 from armctl.robot_description.effort import possible_accelerations
+from armctl.robot_description.joint_limits import OverrideOptions, Overrides, as_tuple
 from armctl.robot_description.notes import (
     in_words,
     note_on_home,
@@ -31,8 +33,9 @@ from armctl.robot_description.notes import (
     tell,
 )
 from armctl.robot_description.shape import Shape
+from armctl.robot_description.source import existing, open_robot, robot_file
 from armctl.robot_description.urdf import Urdf
-from armctl.robot_description.xml_file import impossible_pairs, needs_xacro
+from armctl.robot_description.xml_file import impossible_pairs
 
 MAX_JERK = 300.0
 """rad/s^3: default; reaches that acceleration within 50 ms"""
@@ -78,6 +81,10 @@ class ArmDescription:
     collision_pairs: tuple[Pair, ...]
     notes: tuple[str, ...] = ()
     """Repairs, omissions and assumptions of the reader of a file, a sentence each; none for named arms."""
+    sliding: tuple[str, ...] = ()
+    """Joints that slide: for rad in their limits, read m, and for N m, N."""
+    armature: tuple[float, ...] = ()
+    """Inertia of each joint's motor, kg m^2; empty: none."""
 
     @property
     def dof(self) -> int:
@@ -102,26 +109,32 @@ def load_arm(
     tip: str | None = None,
     home: Sequence[float] | Array | None = None,
     srdf: str | Path | None = None,
-    max_acceleration: float | Sequence[float] | Array | None = None,
-    max_jerk: float | Sequence[float] | Array | None = None,
+    **options: Unpack[OverrideOptions],
 ) -> ArmDescription:
-    """Read an arm by name (`ur3`, `ur5`, `ur10`, `z1`, `panda`, `xarm7`) or from the path of a URDF file.
+    """Read an arm by name (`ur3`, `ur5`, `ur10`, `z1`, `panda`, `xarm7`) or from a file: URDF, xacro or MJCF.
 
-    `tip` is the end-effector link; the default is a file's only leaf link. `home` (dof,) rad is where episodes start;
-    the default is zero, or the middle of the range where zero is out of range, or a posture above the floor if links
-    are in it otherwise. `srdf` is a file whose `<disable_collisions>` exclude pairs of links that cannot touch.
-    `max_acceleration` (rad/s^2) and `max_jerk` (rad/s^3) are one number for all joints or one for each. The defaults
-    are `MAX_JERK`, and a named arm's own accelerations, or what a file's efforts allow, up to `MAX_ACCELERATION`.
+    `menagerie:NAME` is a robot of MuJoCo Menagerie, which the package mujoco-menagerie fetches.
+
+    `tip` is the end-effector link; the default is a file's only leaf link, or one with a usual name. `home` (dof,) rad
+    is where episodes start; the default is an MJCF's keyframe, or zero, or the middle of the range where zero is out of
+    range, or a posture above the floor if links are in it otherwise. `srdf` is a file whose `<disable_collisions>`
+    exclude pairs of links that cannot touch.
+
+    Limits are one number for all joints or one for each. `max_acceleration` (rad/s^2) and `max_jerk` (rad/s^3) are not
+    in files: the defaults are `MAX_JERK`, and a named arm's own accelerations, or what a file's efforts allow, up to
+    `MAX_ACCELERATION`. `max_velocity` (rad/s) and `max_effort` (N m) lower those of a file, and stand in for missing
+    ones. `density` (kg/m^3) gives links without a possible mass or inertia that of their collision shapes.
 
     A file may come from a stranger. Meshes are read only below its own package: the nearest folder above it with a
     `package.xml`; or else the folder that holds its folder `urdf` or `robots`; or else its own folder.
 
     Raises `ConfigurationError` for an unknown name, for a file that is malformed or too large, and for one without the
-    parts of a reach arm: at least one revolute joint between root and tip, with position, velocity and effort limits,
-    and mass behind each joint.
+    parts of a reach arm: at least one revolute joint between root and tip, with position limits, and mass behind each
+    joint.
     """
+    overrides = Overrides.of(dict(options))
     if isinstance(robot, ArmDescription):
-        if any(option is not None for option in (tip, home, srdf, max_acceleration, max_jerk)):
+        if any(option is not None for option in (tip, home, srdf)) or overrides != Overrides():
             raise ConfigurationError(
                 f"the arm {robot.name!r} is loaded already: pass the options to the load_arm call that loads it"
             )
@@ -130,39 +143,16 @@ def load_arm(
     if builtin is not None:
         path, tip, srdf = robot_data() / builtin.urdf, tip or builtin.tip, srdf or robot_data() / builtin.srdf
         home = builtin.home if home is None else home
-        max_acceleration = builtin.max_acceleration if max_acceleration is None else max_acceleration
+        if overrides.max_acceleration is None:
+            overrides = replace(overrides, max_acceleration=as_tuple("max_acceleration", builtin.max_acceleration))
     elif not isinstance(robot, (str, Path)):
         raise ConfigurationError(f"robot should be a name, a path or an ArmDescription, not {robot!r}")
     else:
-        path = Path(robot)
-        if path.suffix.lower() == ".xacro":
-            raise ConfigurationError(needs_xacro(path, path.suffix))
-        if path.suffix.lower() not in (".urdf", ".xml"):
-            raise unknown_name("robot", robot, [*BUILTIN_ARMS, "path/to/your.urdf"])
-        path = _existing(path)
-    srdf = None if srdf is None else _existing(Path(srdf))
+        path = robot_file(robot)
+    srdf = None if srdf is None else existing(Path(srdf))
     edited = tuple(file.stat().st_mtime_ns for file in (path, srdf) if file is not None)
-    acceleration = None if max_acceleration is None else _as_tuple("max_acceleration", max_acceleration)
-    jerk = _as_tuple("max_jerk", MAX_JERK if max_jerk is None else max_jerk)
-    home = None if home is None else _as_tuple("home", home)
-    return _read_arm(path, edited, tip, home, srdf, acceleration, jerk, builtin is not None)
-
-
-def _existing(path: Path) -> Path:
-    """Return the absolute path of a file; raises `ConfigurationError` if there is none."""
-    try:
-        if (absolute := path.resolve()).is_file():
-            return absolute
-    except (OSError, ValueError, RuntimeError):
-        pass  # a name that no file can have, or links that go round in circles
-    raise ConfigurationError(f"there is no robot's file {str(path)!r}")
-
-
-def _as_tuple(name: str, values: float | Sequence[float] | Array) -> tuple[float, ...]:
-    try:
-        return tuple(float(value) for value in np.atleast_1d(values))
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"{name} should be a number for each joint, not {values}") from error
+    home = None if home is None else as_tuple("home", home)
+    return _read_arm(path, edited, tip, home, srdf, overrides, builtin is not None)
 
 
 @functools.lru_cache(maxsize=16)
@@ -172,42 +162,30 @@ def _read_arm(
     tip: str | None,
     home: tuple[float, ...] | None,
     srdf: Path | None,
-    max_acceleration: tuple[float, ...] | None,
-    max_jerk: tuple[float, ...],
+    overrides: Overrides,
     builtin: bool,
 ) -> ArmDescription:
     """Read a file; `edited` (ns) tells its versions apart in the cache. Only an arm that is not `builtin` has notes."""
-    source = Urdf(path, tip, package=robot_data().parent)
+    source = open_robot(path, tip, overrides, robot_data().parent)
     dof, text = len(source.joints), source.text()
-    acceleration = _acceleration(max_acceleration, text, dof)
-    joint_limits = JointLimits(*_frozen(*source.limits(), acceleration, _limit("max_jerk", max_jerk, dof)))
-    (home_position,) = _frozen(_home_position(home, joint_limits))
-    shapes = source.shapes()
+    armature = np.array([source.armature.get(joint, 0.0) for joint in source.joints])
+    acceleration = overrides.limit("max_acceleration", dof)
+    if acceleration is None:
+        acceleration = possible_accelerations(text, MAX_ACCELERATION, armature).round(2)
+    jerk = overrides.limit("max_jerk", dof)
+    jerk = np.full(dof, MAX_JERK) if jerk is None else jerk
+    joint_limits = JointLimits(*_frozen(*source.limits, acceleration, jerk))
+    (home_position,) = _frozen(_home_position(_keyframe(source) if home is None else home, joint_limits))
+    shapes = source.shapes
     capsules = tuple(
         enclosing_capsule(link, np.vstack([shape.vertices for shape in parts]))
         for link, parts in itertools.groupby(shapes, key=lambda shape: shape.link)
     )
-    impossible = impossible_pairs(srdf) if srdf else set()
-    try:
-        pairs = pairs_worth_testing(text, capsules, home_position, impossible)
-        if pairs.floor_depths and home is None:
-            above = posture_above_floor(text, capsules, home_position, pairs)
-            if above is not None:
-                source.notes.append(note_on_home(above, pairs.floor_depths))
-                (home_position,) = _frozen(above)
-                pairs = pairs_worth_testing(text, capsules, home_position, impossible)
-    except (ValueError, RuntimeError) as error:
-        raise ConfigurationError(f"{path.name} is not an arm that Pinocchio can model: {error}") from error
-    if pairs.floor_depths:
-        raise ConfigurationError(
-            f"{path.name} begins in the floor, the plane z = 0: at home, the capsules of these links are in it: "
-            f"{in_words(pairs.floor_depths)}. Give another home, in rad (`--set home=0,-1.2,...`, "
-            "load_arm(home=...)), or a root link that is higher."
-        )
+    home_position, pairs = _posture(source, capsules, home_position, home is None, srdf)
     assumed = notes_on_assumptions(
-        home_position if home is None else None,
-        acceleration if max_acceleration is None else None,
-        MAX_JERK if max_jerk == (MAX_JERK,) else None,
+        home_position if home is None and not _keyframe(source) else None,
+        acceleration if overrides.max_acceleration is None else None,
+        MAX_JERK if overrides.max_jerk is None else None,
     )
     meshes = tuple(shape for shape in shapes if len(shape.triangles)) if builtin else drawn_shapes(source, shapes)
     on_model = notes_on_model(text, source.tip, capsules)
@@ -224,20 +202,40 @@ def _read_arm(
         meshes=meshes,
         collision_pairs=pairs.tested,
         notes=notes,
+        sliding=source.sliding,
+        armature=tuple(armature.tolist()) if armature.any() else (),
     )
 
 
-def _acceleration(limit: tuple[float, ...] | None, urdf: str, dof: int) -> Array:
-    if limit is None:
-        return possible_accelerations(urdf, MAX_ACCELERATION).round(2)
-    return _limit("max_acceleration", limit, dof)
+def _keyframe(source: Urdf) -> tuple[float, ...] | None:
+    """Return where the file has the arm begin, if that is within the limits of its joints."""
+    lower, upper, *_ = source.limits
+    position = np.array([source.home.get(joint, np.nan) for joint in source.joints])
+    return tuple(position.tolist()) if ((lower <= position) & (position <= upper)).all() else None
 
 
-def _limit(name: str, limit: tuple[float, ...], dof: int) -> Array:
-    numbers = np.array(limit)
-    if len(limit) not in (1, dof) or not (np.isfinite(numbers) & (numbers > 0)).all():
-        raise ConfigurationError(f"{name} should be one finite number above 0, or {dof} of them, not {limit}")
-    return np.broadcast_to(numbers, dof)
+def _posture(
+    source: Urdf, capsules: tuple[Capsule, ...], home: Array, may_move: bool, srdf: Path | None
+) -> tuple[Array, CollisionPairs]:
+    """Return a home above the floor, another one than `home` (dof,) if it `may_move`, and the pairs to test there."""
+    impossible, text = source.apart | (impossible_pairs(srdf) if srdf else set()), source.text()
+    try:
+        pairs = pairs_worth_testing(text, capsules, home, impossible)
+        if pairs.floor_depths and may_move:
+            above = posture_above_floor(text, capsules, home, pairs)
+            if above is not None:
+                source.notes.append(note_on_home(above, pairs.floor_depths))
+                (home,) = _frozen(above)
+                pairs = pairs_worth_testing(text, capsules, home, impossible)
+    except (ValueError, RuntimeError) as error:
+        raise ConfigurationError(f"{source.path.name} is not an arm that Pinocchio can model: {error}") from error
+    if pairs.floor_depths:
+        raise ConfigurationError(
+            f"{source.path.name} begins in the floor, the plane z = 0: at home, the capsules of these links are in it: "
+            f"{in_words(pairs.floor_depths)}. Give another home, in rad (`--set home=0,-1.2,...`, "
+            "load_arm(home=...)), or a root link that is higher."
+        )
+    return home, pairs
 
 
 def _home_position(home: tuple[float, ...] | None, limits: JointLimits) -> Array:

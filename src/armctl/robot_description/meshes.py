@@ -20,6 +20,8 @@ from armctl.robot_description.xml_file import short
 
 PATH = 80
 """Characters of a path that a message shows."""
+ROBOT_FOLDERS = "mjcf", "urdf", "robots"
+"""Folders of robots' files, beside which their meshes are."""
 FORMATS = (".stl", ".dae", ".obj", ".ply")
 """Formats that hold all of a mesh in one file."""
 MAX_BYTES = 64_000_000
@@ -51,20 +53,19 @@ class Meshes:
     def __init__(self, urdf: Path, shared: Path) -> None:
         self._folder, self._shared = urdf.resolve().parent, shared
         parents = (self._folder, *self._folder.parents)
-        named = self._folder.parent if self._folder.name in ("urdf", "robots") else self._folder
-        self.package = next((folder for folder in parents if (folder / "package.xml").is_file()), named)
+        packages = (folder for folder in parents if (folder / "package.xml").is_file())
+        folders = (folder.parent for folder in parents[:1] if folder.name in ROBOT_FOLDERS)
+        of_each = (folder.parent for folder in parents[1:2] if folder.name == "mjcf")  # which has a folder a robot
+        self.package = next(itertools.chain(packages, folders, of_each), self._folder)
         self._bytes_left = MAX_BYTES
+        self._contents: dict[Path, bytes] = {}
 
     def read(self, filename: str, scale: Array) -> tuple[Array, NDArray[np.int32]]:
         """Return vertices (k, 3) m and triangles (m, 3) of a mesh, as a URDF names it. Raises `MeshError`."""
         path = self._find(filename)
         if path.suffix.lower() not in FORMATS:
             raise MeshError(f"is no mesh of a format that armctl reads, so convert it: {', '.join(FORMATS)}")
-        with path.open("rb") as file:
-            content = file.read(self._bytes_left + 1)
-        if len(content) > self._bytes_left:
-            raise MeshError(f"is too large: the meshes of a robot may have {MAX_BYTES / 1e6:g} MB together")
-        self._bytes_left -= len(content)
+        content = self._content(path)
         vertices, triangles = _parse(path, content, scale)
         if not len(vertices) or not len(triangles):
             raise MeshError("is empty")
@@ -75,6 +76,21 @@ class Meshes:
         corners = (vertices - vertices.mean(axis=0))[triangles]
         inside_out = np.linalg.det(corners).sum() < 0  # mirrored by its scale, or by a node of its file
         return vertices, triangles[:, ::-1] if inside_out else triangles
+
+    def content(self, filename: str) -> tuple[bytes, str]:
+        """Return the content of a mesh, and the suffix of its file. Raises `MeshError`."""
+        path = self._find(filename)
+        if path not in self._contents:
+            self._contents[path] = self._content(path)
+        return self._contents[path], path.suffix.lower()
+
+    def _content(self, path: Path) -> bytes:
+        with path.open("rb") as file:
+            content = file.read(self._bytes_left + 1)
+        if len(content) > self._bytes_left:
+            raise MeshError(f"is too large: the meshes of a robot may have {MAX_BYTES / 1e6:g} MB together")
+        self._bytes_left -= len(content)
+        return content
 
     def _find(self, filename: str) -> Path:
         """Return a mesh's file, by its name as written or in another usual spelling."""

@@ -92,7 +92,7 @@ def notes_on_assumptions(home: Array | None, acceleration: Array | None, jerk: f
         "jerk limits (rad/s^3)": jerk and f"{jerk:g}",
     }
     assumed = [f"{name} {value}" for name, value in values.items() if value is not None]
-    return [f"Assumed, since a URDF does not say: {'; '.join(assumed)}."] if assumed else []
+    return [f"Assumed, since the file does not say: {'; '.join(assumed)}."] if assumed else []
 
 
 def _listed(values: Array) -> str:

@@ -1,4 +1,4 @@
-"""Reads the XML of robot files, URDF and SRDF, within limits: such a file may come from a stranger."""
+"""Reads the XML of robot files, URDF, SRDF and MJCF, within limits: such a file may come from a stranger."""
 
 import reprlib
 import xml.etree.ElementTree as ElementTree
@@ -12,16 +12,18 @@ Element = ElementTree.Element
 
 MAX_BYTES = 5_000_000
 """Size of a file; the largest of example-robot-data has 0.2 MB."""
-MAX_DEPTH = 32
-"""Elements within each other; URDF itself needs 5, and simulators add some of their own."""
+MAX_DEPTH = 100
+"""Elements within each other; URDF itself needs 5, and simulators add some of their own; MJCF nests links."""
 
 
-def read_xml(path: Path) -> Element:
-    """Return the root of a URDF or SRDF file; raises `ConfigurationError` if it is neither, or beyond the limits."""
+def read_xml(path: Path, content: bytes | None = None, roots: tuple[str, ...] = ("robot",)) -> Element:
+    """Return the root element of a file, one of `roots`, or of the `content` that a program made of it.
+
+    Raises `ConfigurationError` for another root, for what is no XML, and for what is beyond the limits.
+    """
     try:
-        content = bounded_bytes(path, MAX_BYTES)
-        root = _parsed(path.name, content)
-        if leftover := _of_xacro(root):
+        root = _parsed(path.name, bounded_bytes(path, MAX_BYTES) if content is None else content)
+        if root.tag == "robot" and (leftover := _of_xacro(root)):
             raise ConfigurationError(needs_xacro(path, leftover))
     except (ElementTree.ParseError, expat.ExpatError) as error:
         raise ConfigurationError(f"{path.name} cannot be read as XML: {error}") from error
@@ -29,9 +31,11 @@ def read_xml(path: Path) -> Element:
         if isinstance(error, ConfigurationError):
             raise
         raise ConfigurationError(f"{path.name} cannot be read as XML: {reason(error)}") from error
-    if root.tag != "robot":
+    if root.tag not in roots:
+        formats = " or ".join(f"<{tag}>" for tag in roots)
         raise ConfigurationError(
-            f"{path.name} is not a URDF or SRDF: its root element is <{root.tag[:40]}>, not <robot>"
+            f"{path.name} is not a {'URDF or MJCF' if len(roots) > 1 else 'URDF or SRDF'}: its root element is "
+            f"<{root.tag[:40]}>, not {formats}"
         )
     return root
 

@@ -143,6 +143,8 @@ def _compiled(
         joint.actfrclimited = True
         joint.actfrcrange = [-effort, effort]
         joint.solref_limit, joint.solimp_limit = HARD
+    for name, armature in zip(description.joints, description.armature, strict=False):
+        spec.joint(PREFIX + name).armature = armature
     add_impact_sensors(spec, speed_limits(description), round(TICK / spec.option.timestep))
     if furnish is not None:
         furnish(spec, description)
@@ -150,7 +152,7 @@ def _compiled(
         _add_motors(spec, description)
         spec.add_key(name="home", qpos=description.home)
     else:
-        _add_servos(spec, description, _joint_inertia(spec.compile()))
+        _add_servos(spec, description, _joint_inertia(spec.compile(), description))
         spec.add_key(name="home", qpos=description.home, act=description.home)
     return spec.compile()
 
@@ -248,14 +250,15 @@ def _add_servos(spec: mujoco.MjSpec, description: ArmDescription, inertia: Array
         velocity.ctrlrange = [-limits.velocity[i], limits.velocity[i]]
 
 
-def _joint_inertia(model: mujoco.MjModel) -> Array:
+def _joint_inertia(model: mujoco.MjModel, description: ArmDescription) -> Array:
     """Return the largest inertia at each joint over random configurations, (dof,) kg m^2."""
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     mass = np.zeros((model.nv, model.nv))
     largest = np.zeros(model.nv)
+    sliding, limits = [name in description.sliding for name in description.joints], description.limits
     for q in rng.uniform(-np.pi, np.pi, (200, model.nv)):
-        data.qpos[:] = q
+        data.qpos[:] = np.where(sliding, np.clip(q, limits.lower, limits.upper), q)
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
         largest = np.maximum(largest, np.diag(mass))

@@ -23,6 +23,7 @@ def _ordered(box: "Box") -> "Box":
 
 Corner = Annotated[tuple[float, float, float], Strict(False)]
 Box = Annotated[tuple[Corner, Corner], Strict(False)]
+Limit = Positive | Annotated[tuple[Positive, ...], Strict(False)] | None
 Terms = Annotated[Mapping[str, Term], Field(min_length=1)]
 
 
@@ -31,11 +32,17 @@ class ReachOptions:
     """Options of `armctl/ArmReach-v0`. Raises `ConfigurationError` for invalid values."""
 
     robot: str | Path | ArmDescription = "ur5"
-    """`ur3`, `ur5`, `ur10`, the path of a URDF file, or the result of `armctl.load_arm`."""
+    """`ur3`, `ur5`, `ur10`, a URDF, xacro or MJCF file, `menagerie:NAME`, or the result of `armctl.load_arm`."""
     tip: str | None = None
-    """The end-effector's link, for a URDF file in which several links could be it."""
+    """The end-effector's link, for a file in which several links could be it."""
     home: Annotated[tuple[float, ...], Strict(False)] | None = None
     """Joint positions in which episodes begin, rad. None: the default of `armctl.load_arm`."""
+    max_velocity: Limit = None
+    """Velocity limits of all joints or of each, rad/s: they lower a file's, and stand in for missing ones."""
+    max_effort: Limit = None
+    """The same of efforts, N m."""
+    density: Positive | None = None
+    """kg/m^3: of the shapes of links whose file has no possible mass or inertia."""
     control: Literal["position", "relative", "delta", "velocity", "torque"] = "position"
     """Control mode: the meaning of an action (see `armctl.robots.Arm`)."""
     tolerance: Positive = 0.05

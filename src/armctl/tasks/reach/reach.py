@@ -87,7 +87,10 @@ class ReachTask(Task):
 
     def __init__(self, n: int, options: ReachOptions, threads: int = 0) -> None:
         self.options = options
-        description = load_arm(options.robot, tip=options.tip, home=options.home)
+        description = load_arm(
+            options.robot, tip=options.tip, home=options.home, max_velocity=options.max_velocity,
+            max_effort=options.max_effort, density=options.density,
+        )  # fmt: skip
         model = self._build(description)
         model.geom("target").size[:] = options.tolerance
         super().__init__(Simulation(model, n, threads, speed_limits(description)), CONTROL_PERIOD)
