@@ -82,7 +82,7 @@ def test_limits_motors_and_home_are_those_of_the_file(write):
     notes = "\n".join(arm.notes)
     for note in (
         "Not read: <tendon>", "not part of the arm: table, cube", "'tool_tcp', by its name", "are fixed at zero: 'f'",
-        "no velocity limit of these joints: 'j1' 2, 'j2' 2, 'j4' 2", "no effort limit of these joints: 'j4'",
+        "no velocity limit of these joints: 'j1', 'j2', 'j4': 2 rad/s", "no effort limit of these joints: 'j4'",
         "Damping and friction of joints are not simulated: 'j1'", "Continuous joints turn by one turn",
     ):  # fmt: skip
         assert note in notes

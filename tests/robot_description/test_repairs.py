@@ -26,7 +26,7 @@ def frame(mass, inertia, offset="0 0.3 0"):
 
 
 REPAIRED = {
-    "no velocity": (limited(velocity=0), "no velocity limit of these joints: 'j2' 2 rad/s"),
+    "no velocity": (limited(velocity=0), "no velocity limit of these joints: 'j2': 2 rad/s"),
     "zero effort": (limited(effort=0), "no effort limit of these joints: 'j2' .* N m"),
     "endless without limits": (continuous(""), "no effort limit of these joints: 'j1'"),
     "no masses": (BARE, "filled at 1000 kg/m.3: 'l1', 'l2', 'l3'"),

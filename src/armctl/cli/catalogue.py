@@ -50,8 +50,8 @@ def list_(
     With `--env ID`: an environment's observations and actions with their units, the policies that fit, its options with
     their units and defaults, its disturbances with their levels, and its potentials for reward shaping.
 
-    With `--robot ROBOT`, a name or the path of a URDF file: its joints with their limits, its home, and notes about all
-    that was repaired, left out or assumed.
+    With `--robot ROBOT`, a name or the path of a file (URDF, xacro, MJCF): its joints with their limits, its home, and
+    notes about all that was repaired, left out or assumed.
 
     With `--policy NAME`: what an installed policy is made for, sees and controls, and its options with their defaults
     and the ranges in which `armctl tune` looks for better ones.
@@ -90,7 +90,7 @@ def _everything() -> Iterable["RenderableType"]:
     yield "* plays in armctl compare --env ID, where no policies are named."
     yield _grid_of(
         [
-            ("robots", f"{', '.join(BUILTIN_ARMS)}; or the path of your arm's URDF file"),
+            ("robots", f"{', '.join(BUILTIN_ARMS)}; or the path of your arm's URDF, xacro or MJCF file"),
             ("learners", ", ".join(learner_names())),
             ("yours", "policies: agent.json, its folder, file.py:NAME; environments: file.py:NAME"),
             ("more", "armctl list --env ID: options, observations, actions, disturbances"),

@@ -115,7 +115,7 @@ Robot = Annotated[
     str | None,
     typer.Option(
         "--robot",
-        metavar="NAME|FILE.urdf",
+        metavar="NAME|FILE",
         help="Robot: short for `--set robot=...`.",
         show_default="the environment's",
         autocompletion=completion.robots,

@@ -131,7 +131,9 @@ def notes_on_limits(chain: list[Element], stated: Array, limits: Array, override
     for row, name, option, unit in kinds:
         missing = [(joint.get("name"), limits[row, i]) for i, joint in enumerate(chain) if not stated[row, i]]
         if missing:
-            listed = ", ".join(f"{joint!r} {value:g}" for joint, value in missing)
+            values = {value for _, value in missing}
+            listed = ", ".join(f"{joint!r} {value:g}" if len(values) > 1 else repr(joint) for joint, value in missing)
+            listed += f": {values.pop():g}" if len(values) == 1 else ""
             source = f"{unit}, are assumed (max_{name}= gives others)" if option is None else f"as max_{name}= says"
             notes.append(f"The file has no {name} limit of these joints: {listed} {source}.")
     return notes
