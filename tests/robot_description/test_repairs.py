@@ -12,7 +12,7 @@ from armctl.robot_description import load_arm
 from armctl.robot_description.effort import torques_of
 from armctl.robot_description.inertia import solid_inertia
 
-from .small_arm import BOX, FINGER, GOOD, SPHERE, continuous, everywhere, joint, limited, link
+from .small_arm import BOX, FINGER, GOOD, LIMIT, SPHERE, chain_of, continuous, everywhere, joint, limited, link
 from .test_negligible_links import INERTIAS, with_inertia
 
 BARE = {name: f'<link name="{name}"><collision><geometry>{BOX}</geometry></collision></link>' for name in ("l1", "l2")}
@@ -27,7 +27,7 @@ def frame(mass, inertia, offset="0 0.3 0"):
 
 REPAIRED = {
     "no velocity": (limited(velocity=0), "no velocity limit of these joints: 'j2': 2 rad/s"),
-    "zero effort": (limited(effort=0), "no effort limit of these joints: 'j2' .* N m"),
+    "zero effort": (limited(effort=0), "no effort limit of these joints: 'j2'.* N m"),
     "endless without limits": (continuous(""), "no effort limit of these joints: 'j1'"),
     "no masses": (BARE, "filled at 1000 kg/m.3: 'l1', 'l2', 'l3'"),
     "plate that is too thin": ({"l2": link("l2", BOX, moment=0.0208)}, "'l2' has principal moments .* raised"),
@@ -130,6 +130,39 @@ def test_of_several_leaves_the_usual_end_effector_is_taken_and_told(urdf, names)
     with pytest.warns(UserWarning, match=f"end-effector is taken to be '{names[0]}', by its name"):
         assert load_arm(urdf(**parts)).tip == names[0]
     assert load_arm(urdf(**parts), tip="l3").tip == "l3"
+
+
+HAND = "".join(
+    f'<link name="{name}"/>{joint(name, "l6", name, "prismatic", limit=LIMIT)}' for name in ("left", "right")
+)
+
+
+def test_without_a_usual_name_what_carries_the_fingers_is_the_end_effector_of_an_arm(urdf):
+    text = chain_of(["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0"], length=0.2)
+    text = text[: text.index('<link name="tool"/>')] + HAND + "</robot>"
+    with pytest.warns(UserWarning, match="taken to be 'l6', all other links that move are behind it"):
+        assert load_arm(urdf(text)).tip == "l6"
+
+
+def test_of_several_usual_names_on_one_path_the_last_is_taken(urdf):
+    links = [("wrist_tool_link", "l3"), ("hand_tool_link", "wrist_tool_link"), ("camera", "l3")]
+    parts = {
+        name: f'<link name="{name}"/>{joint(f"to_{name}", parent, name, "fixed", limit="")}' for name, parent in links
+    }
+    assert load_arm(urdf(**parts)).tip == "hand_tool_link"
+
+
+def test_a_robot_without_a_name_has_that_of_its_file(urdf):
+    arm = load_arm(urdf(f"<robot>{''.join(GOOD.values())}</robot>"))
+    assert arm.name == "arm"
+    assert arm.notes[0] == "The robot has no name: it is called 'arm', as its file."
+
+
+def test_a_capsule_is_read(urdf):
+    arm = load_arm(urdf(l1=link("l1", '<capsule radius=".05" length=".2"/>')))
+    (capsule,) = (capsule for capsule in arm.capsules if capsule.link == "l1")
+    assert 0.05 <= capsule.radius < 0.052
+    np.testing.assert_allclose(sorted([capsule.start[2], capsule.end[2]]), [-0.1, 0.1], atol=5e-3)
 
 
 def test_of_two_arms_one_is_chosen_by_its_tip(urdf):

@@ -126,7 +126,7 @@ def load_arm(
     ones. `density` (kg/m^3) gives links without a possible mass or inertia that of their collision shapes.
 
     A file may come from a stranger. Meshes are read only below its own package: the nearest folder above it with a
-    `package.xml`; or else the folder that holds its folder `urdf` or `robots`; or else its own folder.
+    `package.xml`; or else the folder that holds its folder `urdf`, `robots` or `mjcf`; or else its own folder.
 
     Raises `ConfigurationError` for an unknown name, for a file that is malformed or too large, and for one without the
     parts of a reach arm: at least one revolute joint between root and tip, with position limits, and mass behind each

@@ -1,4 +1,4 @@
-"""The shapes of a URDF's links: meshes, boxes, cylinders and spheres as vertices in the frame of their link."""
+"""The shapes of a URDF's links: meshes, boxes and round shapes, as vertices in the frame of their link."""
 
 import itertools
 from dataclasses import replace
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.robot_description.elements import Elements
-from armctl.robot_description.meshes import PATH, MeshError, Meshes, rings
+from armctl.robot_description.meshes import PATH, MeshError, Meshes, round_points
 from armctl.robot_description.shape import Shape, colour_of
 from armctl.robot_description.xml_file import Element, short
 
@@ -46,14 +46,14 @@ class LinkShapes:
         elif shape.tag == "box":
             size = elements.numbers(shape, "size", description, 3)
             vertices = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * self._positive(size, description)
-        elif shape.tag in ("cylinder", "sphere"):
+        elif shape.tag in ("cylinder", "sphere", "capsule"):
             radius = self._positive(elements.numbers(shape, "radius", description, 1), description)[0]
             length = 0.0
-            if shape.tag == "cylinder":
+            if shape.tag != "sphere":
                 length = self._positive(elements.numbers(shape, "length", description, 1), description)[0]
-            vertices = np.array(list(rings(shape.tag, radius, length / 2)))
+            vertices = round_points(shape.tag, radius, length / 2)
         else:
-            raise elements.error(f"it has a {description}; armctl supports mesh, box, cylinder and sphere")
+            raise elements.error(f"it has a {description}; armctl supports mesh, box, cylinder, capsule and sphere")
         placement = elements.placement(element, description)
         return Shape(link, vertices @ placement.rotation.T + placement.translation, triangles)
 

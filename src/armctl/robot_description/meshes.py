@@ -21,7 +21,7 @@ from armctl.robot_description.xml_file import short
 PATH = 80
 """Characters of a path that a message shows."""
 ROBOT_FOLDERS = "mjcf", "urdf", "robots"
-"""Folders of robots' files, beside which their meshes are."""
+"""Folders of robots' files, or of a folder for each robot, beside which their meshes are."""
 FORMATS = (".stl", ".dae", ".obj", ".ply")
 """Formats that hold all of a mesh in one file."""
 MAX_BYTES = 64_000_000
@@ -47,16 +47,16 @@ class Meshes:
     """The meshes of one URDF.
 
     The package of a URDF is the nearest folder above it with a `package.xml`; or else the folder that holds its folder
-    `urdf` or `robots`; or else its own folder. Besides, every URDF may use the packages in `shared`.
+    `urdf`, `robots` or `mjcf`, or that of its own folder; or else its own folder. Besides, every URDF may use the
+    packages in `shared`.
     """
 
     def __init__(self, urdf: Path, shared: Path) -> None:
         self._folder, self._shared = urdf.resolve().parent, shared
         parents = (self._folder, *self._folder.parents)
         packages = (folder for folder in parents if (folder / "package.xml").is_file())
-        folders = (folder.parent for folder in parents[:1] if folder.name in ROBOT_FOLDERS)
-        of_each = (folder.parent for folder in parents[1:2] if folder.name == "mjcf")  # which has a folder a robot
-        self.package = next(itertools.chain(packages, folders, of_each), self._folder)
+        folders = (folder.parent for folder in parents[:2] if folder.name in ROBOT_FOLDERS)
+        self.package = next(itertools.chain(packages, folders), self._folder)
         self._bytes_left = MAX_BYTES
         self._contents: dict[Path, bytes] = {}
 
@@ -152,6 +152,14 @@ def rings(shape: str, radius: float, half_length: float, points: int = 24) -> It
     for ring_radius, z in levels:
         for angle in np.linspace(0, 2 * math.pi, points, endpoint=False):
             yield ring_radius * math.cos(angle), ring_radius * math.sin(angle), z
+
+
+def round_points(shape: str, radius: float, half_length: float) -> Array:
+    """Return points (k, 3) that enclose a sphere, or a cylinder or a capsule along z."""
+    if shape != "capsule":
+        return np.array(list(rings(shape, radius, half_length)))
+    ball, end = np.array(list(rings("sphere", radius, 0.0))), np.array([0.0, 0.0, half_length])
+    return np.vstack([ball - end, ball + end])
 
 
 def _in_other_case(folder: Path, path: Path) -> Path | None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.robot_description.elements import Elements
-from armctl.robot_description.meshes import rings
+from armctl.robot_description.meshes import round_points
 from armctl.robot_description.mjcf_file import read_mjcf_file
 from armctl.robot_description.shape import Shape
 from armctl.robot_description.tips import usual_tips
@@ -26,6 +26,9 @@ WORLD = "world"
 DRAWN_GROUPS = 3
 """Groups of geoms that MuJoCo's viewer draws: 0, 1 and 2."""
 GEOM, JOINT = mujoco.mjtGeom, mujoco.mjtJoint
+ROUND = {
+    int(GEOM.mjGEOM_SPHERE): "sphere", int(GEOM.mjGEOM_CYLINDER): "cylinder", int(GEOM.mjGEOM_CAPSULE): "capsule",
+}  # fmt: skip
 KINDS = {int(JOINT.mjJNT_HINGE): "revolute", int(JOINT.mjJNT_SLIDE): "prismatic", int(JOINT.mjJNT_BALL): "ball"}
 
 
@@ -262,11 +265,9 @@ def _primitive(kind: int, size: Array) -> Array:
     """Return points that enclose a geom, (k, 3) m in its frame; none of one without an end."""
     if kind == GEOM.mjGEOM_BOX:
         return np.array(list(product((-1, 1), repeat=3))) * size
-    if kind == GEOM.mjGEOM_CYLINDER:
-        return np.array(list(rings("cylinder", size[0], size[1])))
-    if kind in (GEOM.mjGEOM_SPHERE, GEOM.mjGEOM_CAPSULE, GEOM.mjGEOM_ELLIPSOID):
-        radii = size if kind == GEOM.mjGEOM_ELLIPSOID else np.full(3, size[0])
-        ball = np.array(list(rings("sphere", 1.0, 0.0))) * radii
-        half = np.array([0, 0, size[1] if kind == GEOM.mjGEOM_CAPSULE else 0.0])
-        return np.vstack([ball + half, ball - half])
+    if kind == GEOM.mjGEOM_ELLIPSOID:
+        return round_points("sphere", 1.0, 0.0) * size
+    shape = ROUND.get(kind)
+    if shape is not None:
+        return round_points(shape, size[0], size[1])
     return np.empty((0, 3))

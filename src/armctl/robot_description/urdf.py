@@ -38,6 +38,8 @@ MIN_AXIS = 1e-6
 """Least length of a joint's axis, which is then made 1."""
 TYPES = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 """Types of joints that may be in the chain, and as what libraries get them."""
+MIN_ARM_JOINTS = 4
+"""Joints before a gripper without which it is a hand of its own, and not that of an arm."""
 TIP_ADVICE = (
     "say which is the end-effector, its tip: `--set tip=LINK` on the command line, tip=LINK as an option of the "
     "environment or of load_arm"
@@ -73,9 +75,9 @@ class Urdf:
         """Inertia of joints' motors, kg m^2."""
         self.apart: set[frozenset[str]] = set()
         """Pairs of links that cannot touch, as the file has it."""
+        self.name = robot.get("name") or path.stem
         if not robot.get("name"):
-            raise self._error("its <robot> has no name")
-        self.name = robot.get("name", "")
+            self.notes.append(f"The robot has no name: it is called {self.name!r}, as its file.")
         self._links = {name: link for link in robot.findall("link") if (name := link.get("name", ""))}
         self._joints = robot.findall("joint")
         self._check_tree()
@@ -191,20 +193,41 @@ class Urdf:
             raise self._error("its links and joints are not a tree with one root")
 
     def _likely_tip(self) -> str:
-        """Return the only leaf, or else the link that is called most like an end-effector."""
+        """Return the only leaf, the link that is called most like an end-effector, or what carries all fingers."""
         parents = {end_of(joint, "parent") for joint in self._joints}
         leaves = [name for name in self._links if name not in parents]
         if len(leaves) == 1:
             return leaves[0]
         likely = usual_tips(name for name in self._links if self._joints_above(name))
-        if len(likely) == 1:
+        lineages = [self._lineage(name) for name in likely]
+        last = max(lineages, key=len, default=[])
+        carrier = self._carrier([name for name in leaves if self._joints_above(name)])
+        tip, reason = carrier, "all other links that move are behind it"
+        if likely:
+            tip, reason = (last[0] if all(set(links) <= set(last) for links in lineages) else None), "by its name"
+        if tip is not None:
             self.notes.append(
-                f"The end-effector is taken to be {likely[0]!r}, by its name: the file has {len(leaves)} leaf links, "
-                "and tip= gives another."
+                f"The end-effector is taken to be {tip!r}, {reason}: the file has {len(leaves)} leaf links, and tip= "
+                "gives another."
             )
-            return likely[0]
+            return tip
         candidates = f"{len(likely)} likely end-effectors" if likely else f"{len(leaves)} leaf links"
         raise self._error(f"it has {candidates} ({', '.join(likely or leaves)}); {TIP_ADVICE}")
+
+    def _lineage(self, link: str) -> list[str]:
+        """Return a link and all before it, back to the root."""
+        parents = {end_of(joint, "child"): end_of(joint, "parent") for joint in self._joints}
+        links = [link]
+        while links[-1] in parents:
+            links.append(parents[links[-1]])
+        return links
+
+    def _carrier(self, links: list[str]) -> str | None:
+        """Return the last link that all of some are behind, if that is the end of an arm."""
+        lineages = [self._lineage(link) for link in links]
+        shared = (link for link in (lineages[0] if lineages else []) if all(link in lineage for lineage in lineages))
+        carrier = next(shared, None)
+        return carrier if carrier and len(self._joints_above(carrier)) >= MIN_ARM_JOINTS else None
 
     def _joints_above(self, link: str) -> list[Element]:
         """Return the joints from the root to a link that are not fixed."""
