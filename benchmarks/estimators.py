@@ -1,13 +1,16 @@
-"""Time of estimation and prediction in a decision: processor time of one robot's observer, and of filterpy's filter.
+"""Time of estimation, prediction and safety filters in a decision: processor time of one robot, and filterpy's.
 
     python benchmarks/estimators.py [--steps 5000]
 
-An observer takes the readings of a control step, and notes the command. Both are recorded before they are timed.
+An observer takes the readings of a control step, and notes the command. A safety filter takes a random action. What
+they take is recorded before they are timed.
 """
 
 import itertools
+import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import typer
@@ -15,15 +18,20 @@ from filterpy.kalman import KalmanFilter as FilterpyKalmanFilter
 from printing import show, versioned_table
 
 from armctl.core.arrays import Array
+from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.estimation import ArmObserver, DriveObserver, KalmanFilter
 from armctl.estimation.kalman import constant_velocity
 from armctl.kinematics import ArmModel
+from armctl.policies.filtered import ArmFilterOptions, ArmFilters, Filters, RoverFilterOptions, RoverFilters
 
 ARM_PERIOD, ROVER_PERIOD = 0.04, 0.1
 NOISE = 0.01
 """m and rad."""
 WARM_UP = 100
 """Control steps that are not timed."""
+
+WORLDS, SEED = 50, 300
+"""Episodes of filtered actions; they last 200 control steps or more."""
 
 Step = Callable[[int], object]
 
@@ -73,6 +81,46 @@ def kalman_filter(steps: int) -> Step:
     return step
 
 
+def arm_filter(steps: int) -> Step:
+    """Filter random actions of arms among boxes."""
+    worlds, rng = make_worlds("armctl/ArmReachObstacles-v0", WORLDS), np.random.default_rng(0)
+    filters, timed = (ArmFilters(worlds.task, ArmFilterOptions()) for _ in range(2))
+    low, high = worlds.task.action_range
+    taken: list[Any] = []
+
+    def act(i: int) -> Array:
+        action = rng.uniform(low, high)
+        taken.append((filters.state(i), action))
+        return filters.act(i, action)
+
+    play(worlds, (filters, timed), act, steps)
+    return lambda i: timed.filters[i % WORLDS](*taken[i])
+
+
+def rover_filter(steps: int) -> Step:
+    """Filter random actions of rovers among people."""
+    worlds, rng = make_worlds("armctl/BridgeCrossMoving-v0", WORLDS), np.random.default_rng(0)
+    filters, timed = (RoverFilters(worlds, RoverFilterOptions()) for _ in range(2))
+    low, high = worlds.task.action_range
+    taken: list[Any] = []
+
+    def act(i: int) -> Array:
+        taken.append((*filters.inputs(i), rng.uniform(low, high)))
+        return filters.filters[i](*taken[-1])
+
+    play(worlds, (filters, timed), act, steps)
+    return lambda i: timed.filters[i % WORLDS](*taken[i])
+
+
+def play(worlds: TaskVectorEnv, filters: tuple[Filters, Filters], act: Callable[[int], Array], steps: int) -> None:
+    """Begin an episode in each of the worlds, and so many control steps in all, in each of which a world acts."""
+    worlds.reset(seed=SEED)
+    for some in filters:
+        some.reset(np.arange(WORLDS, dtype=np.int32))
+    for _ in range(math.ceil(steps / WORLDS)):
+        worlds.step(np.array([act(i) for i in range(WORLDS)]))
+
+
 def peer(steps: int) -> Step:
     """Filter them by filterpy."""
     model = constant_velocity(6, ARM_PERIOD, 8.0, NOISE)
@@ -106,6 +154,8 @@ def main(steps: int = 5_000) -> None:
         "arm, target at rest": arm(False, steps),
         "arm, moving target": arm(True, steps),
         "rover": rover(steps),
+        "safety filter, arm among boxes": arm_filter(steps),
+        "safety filter, rover among people": rover_filter(steps),
         "Kalman filter, 12 states, 6 readings": kalman_filter(steps),
         "the same by filterpy": peer(steps),
     }.items():

@@ -1,12 +1,9 @@
 """Policies behind the safety filter: they touch much less, and actions far from everything stay as they are."""
 
-import functools
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from armctl.control.arm_filter import ArmFilter
 from armctl.core.errors import ConfigurationError
@@ -15,75 +12,50 @@ from armctl.kernels import braking
 from armctl.kernels.edges import measure_all
 from armctl.kinematics import ArmModel, ArmShapes
 from armctl.policies import make_policy
+from armctl.policies.filtered import ArmFilterOptions, ArmFilters
 from armctl.policies.names import check_policy_name
-from armctl.robot_description import load_arm
-from armctl.scene import NO_BOXES, Boxes
+from armctl.robot_description.joint_profiles import TICK
+from armctl.scene import NO_BOXES
 from armctl.study import compare, sweep
 
 REACH, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachObstacles-v0"
 BRIDGE, MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
-TICKS, TICK = 5, 0.008
-
-
-@functools.cache
-def shapes():
-    return ArmShapes(ArmModel(load_arm("ur5")))
 
 
 def test_one_command_after_another_keeps_the_margin():
-    """The drives alone, by a reference of their law, for random commands held for a while."""
-
-    @settings(max_examples=15, deadline=None)
-    @given(st.integers(0, 2**32 - 1), st.booleans())
-    def check(seed, to_positions):
-        rng, limits, home = np.random.default_rng(seed), shapes().model.limits, load_arm("ur5").home
-        boxes = Boxes(rng.uniform((0.3, -0.6, 0.1), (0.7, 0.6, 0.8), (3, 3)), np.full((3, 3), 0.08), np.zeros(3))
-        arm_filter = ArmFilter(shapes(), boxes, home, to_positions=to_positions, margin=0.01, period=TICKS * TICK)
-        scene = arm_filter._arm.scene
-        least, apart = np.minimum(0.01, arm_filter._arm.caps), np.empty(len(scene.pairs))
-        measure_all(scene, home, apart)
-        if (apart < 0.02).any():
-            return
-        q, speed, span = home.copy(), np.zeros(6), limits.upper if to_positions else limits.velocity
-        for step in range(30):
-            if step % 6 == 0:
-                proposal = rng.uniform(-span, span)
-            command = arm_filter(q, speed, q, proposal)
-            for _ in range(TICKS):
-                aim = np.array([
-                    np.sign(c - p) * braking_speed(abs(c - p)) if to_positions else c
-                    for c, p in zip(command, q, strict=True)
-                ])  # fmt: skip
-                change = limits.acceleration * TICK
-                speed = np.clip(
-                    aim, np.maximum(speed - change, -limits.velocity), np.minimum(speed + change, limits.velocity)
-                )
-                q = q + speed * TICK
-                measure_all(scene, q, apart)
-                assert (apart >= least - 1e-9).all()
-
-    check()
-
-
-def braking_speed(distance, acceleration=15.0):
-    """Highest speed for a tick from which a joint stops at a distance, braking at a constant rate, by search."""
-    best = 0.0
-    for further in range(200):
-        speed = (distance / TICK + acceleration * TICK * further * (further + 1) / 2) / (further + 1)
-        if acceleration * TICK * further <= speed + 1e-12:
-            best = speed
-    return best
+    """Random commands, held for a while, among boxes, in MuJoCo: within 0.5 mm, by which the prediction may be off."""
+    n, rng = 6, np.random.default_rng(0)
+    worlds = make_worlds(OBSTACLES, n)
+    filters = ArmFilters(worlds.task, ArmFilterOptions())
+    worlds.reset(seed=300)
+    filters.reset(np.arange(n, dtype=np.int32))
+    low, high = worlds.task.action_range
+    actions, changed = np.zeros((n, 6)), 0
+    for step in range(48):
+        if step % 6 == 0:
+            actions = rng.uniform(low, high, (n, 6))
+        safe = [filters.act(i, action) for i, action in enumerate(actions)]
+        changed += sum(one is not action for one, action in zip(safe, actions, strict=True))
+        worlds.step(np.array(safe))
+        for i in range(n):
+            arm = filters.filters[i].arm
+            apart = np.empty(len(arm.scene.pairs))
+            measure_all(arm.scene, filters.state(i).joints, apart)
+            assert (apart >= np.minimum(arm.margin, arm.caps) - 5e-4).all()
+    assert changed > 0
 
 
 def test_drives_stop_where_the_braking_command_says():
-    arm = ArmFilter(shapes(), NO_BOXES, load_arm("ur5").home, to_positions=True, margin=0.01, period=0.04)._arm
+    shapes = ArmShapes(ArmModel("ur5"))
+    arm = ArmFilter(shapes, NO_BOXES, np.ones((2, 6)), to_positions=True, margin=0.01, period=0.04).arm
+    limits = shapes.model.limits
     rng = np.random.default_rng(0)
     for _ in range(20):
         q, speed, goal = rng.uniform(-1, 1, 6), rng.uniform(-3, 3, 6), np.empty(6)
         braking.brake_commands(arm, q, speed, goal)
         position, velocity = q.copy(), speed.copy()
         while np.abs(velocity).max() > 0:
-            velocity = np.sign(velocity) * np.maximum(np.abs(velocity) - 15.0 * TICK, 0.0)
+            velocity = np.sign(velocity) * np.maximum(np.abs(velocity) - limits.acceleration * TICK, 0.0)
             position += velocity * TICK
         np.testing.assert_allclose(goal, position, atol=1e-12)
 
@@ -93,11 +65,11 @@ def test_drives_stop_where_the_braking_command_says():
     ("env", "control"),
     [(REACH, "position"), (REACH, "relative"), (OBSTACLES, "position"), (OBSTACLES, "delta"), (OBSTACLES, "velocity")],
 )
-def test_random_actions_of_an_arm_touch_ten_times_less(env, control):
+def test_random_actions_of_an_arm_touch_nothing(env, control):
     options: Any = {"env_options": {"control": control}, "worlds": 20, "policy_seed": 1}
     episodes = compare(["filtered(random)", "random"], env, episodes=20, seed=300, **options)
     safe, random = (sum(one.metrics.contacts for one in played) for played in episodes.results.by_policy().values())
-    assert 10 * safe <= random
+    assert safe == 0
     assert random > 0
 
 

@@ -50,6 +50,7 @@ class RoverFilter:
         self._backups = tuple(np.array(values) for values in zip(*BACKUPS, strict=True))
         self._ahead = rover.period / TICKS * np.arange(HORIZON)
         self._backup, self._step = kernel.Backup(kernel.BRAKE, 0, 0.0, 0.0), 0
+        self._number = 0
 
     def __call__(self, bridge: BridgeMap, state: Array, pitch: float, time: float, proposal: Array) -> Array:
         """Return the proposed command (2,) if it is safe, or else a near one that is; `state` (10,) at a time (s).
@@ -92,14 +93,14 @@ class RoverFilter:
         self, world: kernel.Surroundings, state: Array, actions: Array, *, is_first: bool = True
     ) -> Array | None:
         """Return the first safe action, or the one that keeps clear best, and keep its back-up."""
-        a, b = kernel.choose(self._rover, world, state, actions, self._backups, is_first)
+        a, b = kernel.choose(self._rover, world, state, actions, self._backups, self._number, is_first)
         if a < 0:
             return None
         linear, angular = actions[a]
         way, periods, speed = (values[b] for values in self._backups)
         speed = linear if way == kernel.HOLD else speed
         self._backup = kernel.Backup(int(way), int(periods), float(speed), float(angular))
-        self._step = 0
+        self._step, self._number = 0, b
         return np.asarray(actions[a])
 
     def _surroundings(self, bridge: BridgeMap, time: float) -> kernel.Surroundings:

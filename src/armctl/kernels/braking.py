@@ -1,26 +1,27 @@
 """Arithmetic of the safety filter of arms: see `armctl.control.arm_filter`.
 
-Drives are rolled out by their law: a period under a command, then braking until all joints rest. Positions and
-velocities are those that the drives command.
+Drives are rolled out by their law, and joints behind them by their dynamics: some periods under a command, then braking
+until all joints rest. The first period is the proposal, the rest the back-up.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.kernels.arm import forward
+from armctl.kernels.arm_dynamics import Equations, Joints, equations_of, follow_drives, joints_of, place_joints
 from armctl.kernels.capsules import place
 from armctl.kernels.compiling import compiled, copy_to
-from armctl.kernels.drives import drive_joints
-from armctl.kernels.edges import Scene, distance, measure_all
+from armctl.kernels.drives import drive_joints, follow_all, limited
+from armctl.kernels.edges import Scene, distance, interpolate, measure_all
 
 MAX_TICKS = 1000
-"""Ticks after which drives that still move count as unsafe."""
-AT_REST = 1e-9
-"""rad/s."""
-FADING = 0.97
-"""Factor by which a recent speed fades in a tick."""
+"""Ticks after which joints that still move count as unsafe."""
+AT_REST = 1e-4
+"""rad/s of drives, and rad by which joints move in a tick, at most, if they rest."""
+FINEST = 1 / 16
+"""Share of a tick: 2 mm at 4 m/s."""
 BISECTIONS = 4
 """Halvings of the segment between the braking and the proposed command."""
 
@@ -29,52 +30,67 @@ class FilteredArm(NamedTuple):
     """An arm that keeps clear of itself, the floor and boxes."""
 
     scene: Scene
+    bodies: NDArray[np.void]
+    """(dof,) as in `armctl.kernels.arm_dynamics`."""
     motion: Array
     """(pairs, dof) m/rad: bound on how far each joint moves a pair."""
     margin: float
-    """m that pairs keep at rest."""
+    """m that pairs keep."""
     caps: Array
     """(pairs,) m: the most that a pair has to keep."""
-    lag: float
-    """s: joints are at most so late behind their drives; so much more has to be kept."""
     to_positions: bool
     """True if commands are positions, else velocities."""
+    following_error: float
+    """rad by which joints may be behind their drives before these wait."""
     ticks: int
     """Ticks of the drives per period."""
-    tick: float
-    """s."""
+    held: int
+    """Periods of the second back-up, which holds a command before it brakes; the first brakes at once."""
+    step: tuple[float, int]
+    """s of a time step of the joints, and number of steps in a tick."""
 
 
-class DriveState(NamedTuple):
-    """State of an arm's drives."""
+class ArmState(NamedTuple):
+    """State of an arm: (dof,) each, rad and rad/s."""
 
     position: Array
-    """(dof,) rad."""
+    """Of the drives, as `velocity`."""
     velocity: Array
-    """(dof,) rad/s."""
-    recent: Array
-    """(dof,) rad/s: the highest recent speeds, by which joints are late."""
+    joints: Array
+    joint_velocity: Array
+
+
+class Plan(NamedTuple):
+    """Back-up of the last safe command: it is held for so many further periods, and then all joints brake."""
+
+    command: Array
+    """(dof,)."""
+    periods: NDArray[np.int64]
+    """(1,)."""
 
 
 class Memory(NamedTuple):
     """Memory of a rollout."""
 
-    q: Array
+    position: Array
+    """(dof,) of the drives."""
     speeds: Array
-    """(2 dof,) as `drive_joints` has them."""
+    """(2 dof,) of the drives, as `drive_joints` has them."""
+    joints: Joints
+    equations: Equations
     brake: Array
     """(dof,) command that stops the drives."""
     moved: Array
     """(dof,) rad in a tick."""
-    recent: Array
-    """(dof,) rad/s: the highest recent speeds."""
-    caps: Array
-    """(pairs,) m: the most that a pair has to keep, at most its distance at the start if that is below the margin."""
+    required: Array
+    """(pairs,) m that a pair has to keep, at most its distance at the start if that is below the margin."""
     apart: Array
     """(pairs,) m: lower bounds on distances."""
-    rotations: Array
-    origins: Array
     ends: Array
+    before: Array
+    """(dof,) rad: the joints before a tick."""
+    between: Joints
+    ends_between: Array
 
 
 @compiled
@@ -82,9 +98,9 @@ def memory_of(arm):
     """Return memory for rollouts of an arm."""
     dof, num_pairs, num_links = len(arm.scene.joints), len(arm.scene.pairs), len(arm.scene.links)
     return Memory(
-        np.empty(dof), np.empty(2 * dof), np.empty(dof), np.empty(dof), np.empty(dof), np.empty(num_pairs),
-        np.empty(num_pairs),
-        np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((num_links, 2, 3)),
+        np.empty(dof), np.empty(2 * dof), joints_of(dof), equations_of(dof), np.empty(dof), np.empty(dof),
+        np.empty(num_pairs), np.empty(num_pairs), np.empty((num_links, 2, 3)), np.empty(dof), joints_of(dof),
+        np.empty((num_links, 2, 3)),
     )  # fmt: skip
 
 
@@ -94,98 +110,133 @@ def brake_commands(arm, q, velocity, commands):
 
     Positions are where the joints come to rest if their speeds drop by the full acceleration in each tick.
     """
+    tick = arm.step[0] * arm.step[1]
     for i in range(len(q)):
         commands[i] = 0.0
         if arm.to_positions:
-            step = arm.scene.joints[i].acceleration * arm.tick
+            step = arm.scene.joints[i].acceleration * tick
             whole = np.floor(abs(velocity[i]) / step)
-            braking = arm.tick * (whole * abs(velocity[i]) - step * whole * (whole + 1) / 2)
+            braking = tick * (whole * abs(velocity[i]) - step * whole * (whole + 1) / 2)
             commands[i] = q[i] + np.sign(velocity[i]) * braking
 
 
 @compiled
 def advance(arm, command, memory):
-    """Move drives by a tick towards a command (dof,)."""
-    q, speeds, moved = memory.q, memory.speeds, memory.moved
-    drive_joints(arm.scene.joints, command, arm.to_positions, q, q, speeds, np.inf, arm.tick)
-    for i in range(len(q)):
-        moved[i] = abs(speeds[i] * arm.tick)
-        memory.recent[i] = max(FADING * memory.recent[i], abs(speeds[i]))
-        q[i] += speeds[i] * arm.tick
+    """Move drives and joints by a tick towards a command (dof,)."""
+    joints, (timestep, steps) = memory.joints, arm.step
+    drive_joints(
+        arm.scene.joints, command, arm.to_positions, joints.q, memory.position, memory.speeds, arm.following_error,
+        timestep * steps,
+    )  # fmt: skip
+    copy_to(joints.q, memory.before)
+    drives = memory.position, memory.speeds
+    follow_drives(arm.scene.joints, arm.bodies, joints, drives, memory.equations, arm.step, memory.moved)
+
+
+@compiled
+def stays_apart(arm, memory, k, before, bound):
+    """Return True if pair k, which was `before` (m) apart at the start of a tick, keeps its distance in the tick.
+
+    From one place to the next where it is measured, it goes as far as the `bound` (m) on its way allows, but at least
+    `FINEST` of the tick.
+    """
+    required, share, between = memory.required[k], 0.0, memory.between
+    while before + memory.apart[k] - bound * (1 - share) < 2 * required:
+        share += max((before - required) / bound, FINEST)
+        if share >= 1:
+            return True
+        interpolate(memory.before, memory.joints.q, share, between.q)
+        place_joints(arm.scene.joints, between)
+        place(arm.scene.links, between.rotations, between.origins, memory.ends_between)
+        before = distance(arm.scene.links, arm.scene.boxes, memory.ends_between, arm.scene.pairs[k])
+        if before < required:
+            return False
+    return True
 
 
 @compiled
 def keeps_clear(arm, memory):
     """Return True if no pair comes nearer than it has to keep, in the tick that has just been made or at its end.
 
-    While joints move, a pair's distance changes by at most its bound: between two distances d and e it stays at least
-    (d + e - bound) / 2. A pair is measured as soon as the next such tick may bring it too near.
+    A pair is measured as soon as the next such tick may bring it too near.
     """
     _, links, pairs, boxes = arm.scene
     placed = False
     for k in range(len(pairs)):
-        bound, lag_motion = 0.0, 0.0
+        bound = 0.0
         for i in range(len(memory.moved)):
             bound += arm.motion[k, i] * memory.moved[i]
-            lag_motion += arm.motion[k, i] * memory.recent[i]
-        kept, previous = min(arm.margin + arm.lag * lag_motion, memory.caps[k]), memory.apart[k]
+        required, previous = memory.required[k], memory.apart[k]
         memory.apart[k] = previous - bound
-        if memory.apart[k] < kept + 2 * bound:
+        if memory.apart[k] < required + 2 * bound:
             if not placed:
-                forward(arm.scene.joints, memory.q, memory.rotations, memory.origins)
-                place(links, memory.rotations, memory.origins, memory.ends)
+                place(links, memory.joints.rotations, memory.joints.origins, memory.ends)
                 placed = True
             memory.apart[k] = distance(links, boxes, memory.ends, pairs[k])
-            required = min(arm.margin, memory.caps[k])
-            if memory.apart[k] < kept or previous + memory.apart[k] - bound < 2 * required:
+            if memory.apart[k] < required or not stays_apart(arm, memory, k, previous, bound):
                 return False
     return True
 
 
 @compiled
-def start(state, apart, memory):
-    """Begin a rollout at a state of the drives, with pairs `apart` (pairs,) m."""
-    dof = len(state.position)
-    copy_to(state.position, memory.q)
-    copy_to(state.velocity, memory.speeds[:dof])
-    copy_to(state.velocity, memory.speeds[dof:])
-    copy_to(state.recent, memory.recent)
+def start(arm, state, apart, memory):
+    """Begin a rollout at a state of the arm, with pairs `apart` (pairs,) m."""
+    for i in range(len(state.position)):
+        memory.speeds[i] = state.velocity[i]
+    copy_to(state.position, memory.position)
+    copy_to(state.joints, memory.joints.q)
+    copy_to(state.joint_velocity, memory.joints.velocity)
+    place_joints(arm.scene.joints, memory.joints)
     copy_to(apart, memory.apart)
 
 
 @compiled
-def stops_safely(arm, state, apart, command, memory):
-    """Return True if a period under a command (dof,), and the braking after it, keep clear."""
-    dof = len(command)
-    start(state, apart, memory)
-    for _ in range(arm.ticks):
-        advance(arm, command, memory)
-        if not keeps_clear(arm, memory):
+def is_at_rest(memory):
+    """Return True if drives and joints rest."""
+    for i in range(len(memory.moved)):  # noqa: SIM110 (generators cannot be compiled)
+        if max(memory.moved[i], abs(memory.speeds[i])) > AT_REST:
             return False
-    brake_commands(arm, memory.q, memory.speeds[:dof], memory.brake)
-    for _ in range(MAX_TICKS):
-        if np.abs(memory.speeds[:dof]).max() <= AT_REST:
+    return True
+
+
+@compiled
+def stops_safely(arm, state, apart, command, periods, memory):
+    """Return True if so many periods under a command (dof,), and the braking after them, keep clear."""
+    start(arm, state, apart, memory)
+    for tick in range(MAX_TICKS):
+        if tick >= arm.ticks and is_at_rest(memory):
             return True
-        advance(arm, memory.brake, memory)
+        if tick == periods * arm.ticks:
+            brake_commands(arm, memory.position, memory.speeds, memory.brake)
+        advance(arm, command if tick < periods * arm.ticks else memory.brake, memory)
         if not keeps_clear(arm, memory):
             return False
     return False
 
 
 @compiled
-def effective(arm, state, apart, command, memory, commands):
-    """Compute the `commands` (dof,) of least size that move drives in the next period as a command does.
+def safe_periods(arm, state, apart, command, memory):
+    """Return for how many periods a command (dof,) may be held before braking, of the back-ups' two; -1 if neither."""
+    for periods in (0, arm.held):
+        if stops_safely(arm, state, apart, command, 1 + periods, memory):
+            return periods
+    return -1
+
+
+@compiled
+def effective(arm, state, command, target):
+    """Compute the `target` (dof,) of least size that moves drives in the next period as a command (dof,) does.
 
     It is where they stop if they brake after it, or their velocities then.
     """
-    dof = len(command)
-    start(state, apart, memory)
-    for _ in range(arm.ticks):
-        advance(arm, command, memory)
+    joints, tick = arm.scene.joints, arm.step[0] * arm.step[1]
+    position, velocity = state.position.copy(), state.velocity.copy()
     if arm.to_positions:
-        brake_commands(arm, memory.q, memory.speeds[:dof], commands)
-    else:
-        copy_to(memory.speeds[:dof], commands)
+        follow_all(joints, command, position, velocity, arm.ticks, tick)
+        brake_commands(arm, position, velocity, target)
+        return
+    for i in range(len(command)):
+        target[i] = limited(command[i], velocity[i], joints[i].top, joints[i].acceleration, arm.ticks * tick)
 
 
 @compiled
@@ -198,43 +249,53 @@ def square_distance(first, second):
 
 
 @compiled
-def nearest_alternative(arm, state, apart, target, memory, command):
-    """Compute the safe `command` (dof,) nearest to the `target` among some, by the distance of its effect.
+def alternative(number, aims, shares, tried):
+    """Compute command `number` of those `tried` (dof,): between a target and the back-up, or one joint otherwise.
 
-    These brake all joints in part, or one joint, or all but one. If none is safe, all brake.
+    `aims` are the target, the back-up and the command that brakes, (dof,) each, and `shares` the bounds of the
+    bisection.
     """
-    dof = len(target)
-    brake, tried = np.empty(dof), np.empty(dof)
-    brake_commands(arm, state.position, state.velocity, brake)
-    copy_to(brake, command)
-    low, high = 0.0, 1.0
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        for i in range(dof):
-            tried[i] = brake[i] + middle * (target[i] - brake[i])
-        if stops_safely(arm, state, apart, tried, memory):
-            low = middle
-            copy_to(tried, command)
+    (target, backup, brake), dof = aims, len(tried)
+    for i in range(dof):
+        if number < BISECTIONS:
+            tried[i] = backup[i] + (shares[0] + shares[1]) / 2 * (target[i] - backup[i])
+        elif number < BISECTIONS + dof:
+            tried[i] = brake[i] if i == number - BISECTIONS else target[i]
         else:
-            high = middle
-    for k in range(2 * dof):
-        copy_to(target if k < dof else brake, tried)
-        tried[k % dof] = brake[k % dof] if k < dof else target[k % dof]
-        is_nearer = square_distance(tried, target) < square_distance(command, target)
-        if is_nearer and stops_safely(arm, state, apart, tried, memory):
-            copy_to(tried, command)
+            tried[i] = target[i] if i == number - BISECTIONS - dof else brake[i]
 
 
 @compiled
-def nearest_safe(arm, state, proposal, command):
-    """Compute the safe `command` (dof,) nearest to a `proposal`: the same, or the nearest of some alternatives."""
-    memory, apart = memory_of(arm), np.empty(len(arm.scene.pairs))
-    measure_all(arm.scene, state.position, apart)
+def nearest_safe(arm, state, proposal, plan, command):
+    """Compute the safe `command` (dof,) nearest to a `proposal`: the same, or one of some, by the distance of effects.
+
+    These are on the segment between the proposal's effect and the back-up of the last command, the `plan`; or brake one
+    joint, or all but one. If none is safe, it is that back-up.
+    """
+    dof, memory, apart = len(proposal), memory_of(arm), np.empty(len(arm.scene.pairs))
+    target, backup, brake = np.empty(dof), np.empty(dof), np.empty(dof)
+    tried, shares = proposal.copy(), np.array((0.0, 1.0))
+    measure_all(arm.scene, state.joints, apart)
     for k in range(len(apart)):
-        memory.caps[k] = min(arm.caps[k], apart[k]) if apart[k] < arm.margin else arm.caps[k]
-    if stops_safely(arm, state, apart, proposal, memory):
-        copy_to(proposal, command)
-        return
-    target = np.empty(len(proposal))
-    effective(arm, state, apart, proposal, memory, target)
-    nearest_alternative(arm, state, apart, target, memory, command)
+        memory.required[k] = min(arm.margin, arm.caps[k], apart[k])
+    brake_commands(arm, state.position, state.velocity, brake)
+    copy_to(brake if plan.periods[0] == 0 else plan.command, backup)
+    copy_to(backup, command)
+    left = max(plan.periods[0] - 1, 0)
+    for number in range(-1, BISECTIONS + 2 * dof):
+        if number == 0:
+            effective(arm, state, proposal, target)
+        if number >= 0:
+            alternative(number, (target, backup, brake), shares, tried)
+        if number >= BISECTIONS and square_distance(tried, target) >= square_distance(command, target):
+            continue
+        periods = safe_periods(arm, state, apart, tried, memory)
+        if periods >= 0:
+            copy_to(tried, command)
+            left = periods
+        if number < 0 and periods >= 0:
+            break
+        if 0 <= number < BISECTIONS:
+            shares[0 if periods >= 0 else 1] = (shares[0] + shares[1]) / 2
+    copy_to(command, plan.command)
+    plan.periods[0] = left

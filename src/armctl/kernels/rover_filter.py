@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.kernels.bridge import segment_to_block
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, copy_to
 
 HOLD, ALONG, BRAKE = range(3)
 """Ways to go on before braking: with the same command, along the bridge, or not at all."""
@@ -27,6 +27,8 @@ MAX_PERIODS = 14
 """Periods after which a braking rover that still moves counts as unsafe."""
 ENOUGH = 0.15
 """m: clearance from which on more is no better."""
+BETTER = 0.005
+"""m of clearance by which another way has to be better."""
 
 
 class Rover(NamedTuple):
@@ -185,28 +187,37 @@ def stands(rover, state):
 
 
 @compiled
-def worth(rover, world, start, linear, angular, backup):
-    """Return how far a rover keeps clear in a period under a command, then in a back-up; -inf if that is unsafe.
+def period_under(rover, world, state, command, k, memory):
+    """Move a rover by period k under a command (2,); return how far it keeps clear meanwhile, -inf if too little: m."""
+    rims, row, points = memory
+    nearest = ENOUGH
+    rims_of(rover, command[0], command[1], rims)
+    for part in range(SUBSTEPS // CHECKED):
+        move(rover, state, rims, CHECKED)
+        still = clearance(rover, world, state, row)
+        if still < world.margin:
+            return -np.inf
+        tick = k * (SUBSTEPS // CHECKED) + part + 1
+        people_now(world, tick, points)
+        apart = people_clearance(rover, state, points, world.radius, row)
+        if apart < world.people_margin + world.drift * tick * rover.period * CHECKED / SUBSTEPS:
+            return -np.inf
+        nearest = min(nearest, still, apart)
+    return nearest
 
-    That is its least clearance, and the one where it stands at last, where nobody walks by: m, each up to `ENOUGH`.
+
+@compiled
+def worth(rover, world, state, nearest, backup, best, memory):
+    """Return how far a rover keeps clear in a back-up, from a state after a period in which it did by `nearest` m.
+
+    That is the least clearance, and the one where it stands at last, where nobody walks by: m, each up to `ENOUGH`. It
+    is -inf if that is unsafe, or cannot be better than the `best` by `BETTER`.
     """
-    state, rims, row, points = start.copy(), np.empty(2), np.empty(10), np.empty((len(world.lanes), 4))
-    last, nearest = 1 + backup.periods + MAX_PERIODS, ENOUGH
-    for k in range(last):
-        if k > 0:
-            linear, angular = command_of(backup, k - 1, state[2])
-        rims_of(rover, linear, angular, rims)
-        for part in range(SUBSTEPS // CHECKED):
-            move(rover, state, rims, CHECKED)
-            still = clearance(rover, world, state, row)
-            if still < world.margin:
-                return -np.inf
-            tick = k * (SUBSTEPS // CHECKED) + part + 1
-            people_now(world, tick, points)
-            apart = people_clearance(rover, state, points, world.radius, row)
-            if apart < world.people_margin + world.drift * tick * rover.period * CHECKED / SUBSTEPS:
-                return -np.inf
-            nearest = min(nearest, still, apart)
+    row = memory[1]
+    for k in range(1, 1 + backup.periods + MAX_PERIODS):
+        nearest = min(nearest, period_under(rover, world, state, command_of(backup, k - 1, state[2]), k, memory))
+        if nearest + ENOUGH <= best + BETTER:
+            return -np.inf
         if k > backup.periods and stands(rover, state):
             apart = people_clearance(rover, state, world.lanes, world.radius, row)
             at_last = min(clearance(rover, world, state, row), apart, ENOUGH)
@@ -215,18 +226,25 @@ def worth(rover, world, start, linear, angular, backup):
 
 
 @compiled
-def choose(rover, world, state, actions, backups, is_first):
+def choose(rover, world, state, actions, backups, first, is_first):
     """Return the first of `actions` (n, 2) after which there is a safe back-up, or that of most worth, and the back-up.
 
-    -1: there is none. Those of `backups` that hold a command hold the action.
+    -1: there is none. Those of `backups` that hold a command hold the action; number `first` of them is tried first.
     """
     ways, periods, speeds = backups
-    best, chosen, follows = -np.inf, -1, -1
+    memory = np.empty(2), np.empty(10), np.empty((len(world.lanes), 4))
+    best, chosen, follows, after, at_end = -np.inf, -1, -1, np.empty(10), np.empty(10)
     for a in range(len(actions)):
-        linear, angular = actions[a, 0], actions[a, 1]
-        for b in range(len(ways)):
-            speed = linear if ways[b] == HOLD else speeds[b]
-            value = worth(rover, world, state, linear, angular, Backup(ways[b], periods[b], speed, angular))
+        command = actions[a, 0], actions[a, 1]
+        copy_to(state, after)
+        nearest = period_under(rover, world, after, command, 0, memory)
+        if nearest + ENOUGH <= best + BETTER:
+            continue
+        for number in range(len(ways)):
+            b = (first + number) % len(ways)
+            backup = Backup(ways[b], periods[b], command[0] if ways[b] == HOLD else speeds[b], command[1])
+            copy_to(after, at_end)
+            value = worth(rover, world, at_end, nearest, backup, best, memory)
             if value > best:
                 best, chosen, follows = value, a, b
                 if is_first:

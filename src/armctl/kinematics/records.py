@@ -4,7 +4,9 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
+from armctl.core.arrays import Array
 from armctl.kernels.arm import JOINT
+from armctl.kernels.arm_dynamics import BODY
 from armctl.kernels.capsules import BOX, LINK
 from armctl.kernels.drives import DRIVE
 from armctl.robot_description import ArmDescription
@@ -32,6 +34,15 @@ def joint_records(model: pinocchio.Model, axes: NDArray[np.float64], description
     for name in DRIVE.fields or ():
         joints[name] = description.limits.drives[name]
     return joints
+
+
+def body_records(model: pinocchio.Model, description: ArmDescription, stiffness: Array, damping: Array) -> Records:
+    """Return what each joint (dof,) carries along, and servos with a `stiffness` and `damping` (dof,)."""
+    bodies = np.zeros(description.dof, BODY)
+    for body, inertia in zip(bodies, list(model.inertias)[1:], strict=True):
+        body["mass"], body["centre"], body["inertia"] = inertia.mass, inertia.lever, inertia.inertia
+    bodies["stiffness"], bodies["damping"], bodies["effort"] = stiffness, damping, description.limits.effort
+    return bodies
 
 
 def link_records(model: pinocchio.Model, description: ArmDescription) -> Records:

@@ -17,6 +17,7 @@ from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import NonNegative, changed_options, options
 from armctl.envs import EpisodeVectorEnv, Interface, TaskVectorEnv
+from armctl.kernels.braking import ArmState
 from armctl.kernels.rover_filter import Rover
 from armctl.kinematics import ArmModel, ArmShapes
 from armctl.policies.policy import Actions, ControllersFailed, Policy
@@ -31,7 +32,7 @@ from armctl.robots.rover import (
     WHEEL_SEPARATION_MULTIPLIER,
     WHEELS,
 )
-from armctl.scene import NO_BOXES
+from armctl.scene import NO_BOXES, BridgeMap
 from armctl.tasks import BridgeTask, ReachTask
 from armctl.tasks.bridge import CONTROL_PERIOD
 
@@ -44,8 +45,8 @@ simulated rover."""
 class ArmFilterOptions:
     """Options of the safety filter of arms."""
 
-    margin: NonNegative = 0.01
-    """m kept from boxes, floor and the arm itself, at rest; fast motions keep more."""
+    margin: NonNegative = 0.003
+    """m kept from boxes, floor and the arm itself."""
 
 
 @options
@@ -148,31 +149,37 @@ class ArmFilters:
         self._control = control = task.options.control
         if control == "torque":
             raise ConfigurationError("the safety filter of arms goes by their drives, which control='torque' has not")
-        self._task, self._margin = task, chosen.margin
+        self._task, self._margin, dof = task, chosen.margin, task.robot.dof
+        self._gains = np.array(task.simulation.model.actuator_gainprm[: 2 * dof, 0]).reshape(2, dof)
         self._shapes, self._to_positions = ArmShapes(ArmModel(task.robot)), control in ("position", "relative")
-        self._filters: dict[int, ArmFilter] = {}
+        self.filters: dict[int, ArmFilter] = {}
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Begin new episodes in worlds `ids`, among new boxes."""
         task = self._task
         for i in ids.tolist():
             boxes = getattr(task, "boxes", lambda world: NO_BOXES)(i)
-            self._filters[i] = ArmFilter(
-                self._shapes, boxes, task.robot.home, to_positions=self._to_positions, margin=self._margin,
+            self.filters[i] = ArmFilter(
+                self._shapes, boxes, self._gains, to_positions=self._to_positions, margin=self._margin,
                 period=task.control_period,
             )  # fmt: skip
 
     def act(self, world: int, action: Array) -> Array:
         """Return an action (dof,) if it is safe, or else a near one that is."""
-        arm, limits = self._task.arm, self._task.robot.limits
-        q, commands = arm.joint_positions[world].copy(), arm.commands[world]
-        origin = {"relative": q}.get(self._control, 0.0)
+        arm, limits, state = self._task.arm, self._task.robot.limits, self.state(world)
+        origin = {"relative": state.joints}.get(self._control, 0.0)
         scale = arm.period if self._control == "delta" else 1.0
         proposal = np.clip(action, arm.action_low, arm.action_high) / scale + origin
         if self._to_positions:
             proposal = np.clip(proposal, limits.lower, limits.upper)
-        command = self._filters[world](commands[: len(q)].copy(), commands[len(q) :].copy(), q, proposal)
+        command = self.filters[world](state, proposal)
         return action if np.array_equal(command, proposal) else (command - origin) * scale
+
+    def state(self, world: int) -> ArmState:
+        """Return the state of a world's arm."""
+        arm = self._task.arm
+        position, velocity = arm.commands[world].reshape(2, -1).copy()
+        return ArmState(position, velocity, arm.joint_positions[world].copy(), arm.joint_velocities[world].copy())
 
 
 class RoverFilters:
@@ -184,18 +191,22 @@ class RoverFilters:
             raise ConfigurationError("the safety filter of rovers is for wheels that slide: use dynamics='physics'")
         self._env, self._task, self._chosen = env, task, chosen
         self._rover = rover_model(task.simulation.model)
-        self._filters: dict[int, RoverFilter] = {}
+        self.filters: dict[int, RoverFilter] = {}
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Begin new episodes in worlds `ids`."""
         for i in ids.tolist():
-            self._filters[i] = RoverFilter(
+            self.filters[i] = RoverFilter(
                 self._rover, margin=self._chosen.margin, people_margin=self._chosen.people_margin,
                 drift=self._chosen.drift,
             )  # fmt: skip
 
     def act(self, world: int, action: Array) -> Array:
         """Return an action (2,) if it is safe, or else a near one that is."""
+        return self.filters[world](*self.inputs(world), action)
+
+    def inputs(self, world: int) -> tuple[BridgeMap, Array, float, float]:
+        """Return the map, the rover's state, its pitch and the time in a world, as `RoverFilter` takes them."""
         perceived, state = self._env.perceived(), np.empty(10)
         pose, (ahead, turn) = perceived.state.poses[world], perceived.state.velocities[world]
         velocity, rims, pitch = self._task.rover.slip(world)
@@ -203,7 +214,7 @@ class RoverFilters:
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         state[:3], state[5], state[6:] = pose, turn, rims
         state[3:5] = ahead * cos - sideways * sin, ahead * sin + sideways * cos
-        return self._filters[world](perceived.map(world), state, pitch, float(self._task.state.time[world]), action)
+        return perceived.map(world), state, pitch, float(self._task.state.time[world])
 
 
 def rover_model(model: Any) -> Rover:
