@@ -54,7 +54,7 @@ class ArmState(NamedTuple):
     """State of an arm: (dof,) each, rad and rad/s."""
 
     position: Array
-    """Of the drives, as `velocity`."""
+    """The drives', as `velocity`."""
     velocity: Array
     joints: Array
     joint_velocity: Array
@@ -87,8 +87,8 @@ class Memory(NamedTuple):
     apart: Array
     """(pairs,) m: lower bounds on distances."""
     ends: Array
-    before: Array
-    """(dof,) rad: the joints before a tick."""
+    origin: Array
+    """(dof,) rad: the joints at the start of a tick."""
     between: Joints
     ends_between: Array
 
@@ -128,28 +128,28 @@ def advance(arm, command, memory):
         arm.scene.joints, command, arm.to_positions, joints.q, memory.position, memory.speeds, arm.following_error,
         timestep * steps,
     )  # fmt: skip
-    copy_to(joints.q, memory.before)
+    copy_to(joints.q, memory.origin)
     drives = memory.position, memory.speeds
     follow_drives(arm.scene.joints, arm.bodies, joints, drives, memory.equations, arm.step, memory.moved)
 
 
 @compiled
-def stays_apart(arm, memory, k, before, bound):
-    """Return True if pair k, which was `before` (m) apart at the start of a tick, keeps its distance in the tick.
+def stays_apart(arm, memory, k, apart, bound):
+    """Return True if pair k, which was so far `apart` (m) at the start of a tick, keeps its distance in the tick.
 
     From one place to the next where it is measured, it goes as far as the `bound` (m) on its way allows, but at least
     `FINEST` of the tick.
     """
     required, share, between = memory.required[k], 0.0, memory.between
-    while before + memory.apart[k] - bound * (1 - share) < 2 * required:
-        share += max((before - required) / bound, FINEST)
+    while apart + memory.apart[k] - bound * (1 - share) < 2 * required:
+        share += max((apart - required) / bound, FINEST)
         if share >= 1:
             return True
-        interpolate(memory.before, memory.joints.q, share, between.q)
+        interpolate(memory.origin, memory.joints.q, share, between.q)
         place_joints(arm.scene.joints, between)
         place(arm.scene.links, between.rotations, between.origins, memory.ends_between)
-        before = distance(arm.scene.links, arm.scene.boxes, memory.ends_between, arm.scene.pairs[k])
-        if before < required:
+        apart = distance(arm.scene.links, arm.scene.boxes, memory.ends_between, arm.scene.pairs[k])
+        if apart < required:
             return False
     return True
 
@@ -281,7 +281,7 @@ def nearest_safe(arm, state, proposal, plan, command):
     brake_commands(arm, state.position, state.velocity, brake)
     copy_to(brake if plan.periods[0] == 0 else plan.command, backup)
     copy_to(backup, command)
-    left = max(plan.periods[0] - 1, 0)
+    rest = max(plan.periods[0] - 1, 0)
     for number in range(-1, BISECTIONS + 2 * dof):
         if number == 0:
             effective(arm, state, proposal, target)
@@ -292,10 +292,10 @@ def nearest_safe(arm, state, proposal, plan, command):
         periods = safe_periods(arm, state, apart, tried, memory)
         if periods >= 0:
             copy_to(tried, command)
-            left = periods
+            rest = periods
         if number < 0 and periods >= 0:
             break
         if 0 <= number < BISECTIONS:
             shares[0 if periods >= 0 else 1] = (shares[0] + shares[1]) / 2
     copy_to(command, plan.command)
-    plan.periods[0] = left
+    plan.periods[0] = rest

@@ -233,18 +233,18 @@ def choose(rover, world, state, actions, backups, first, is_first):
     """
     ways, periods, speeds = backups
     memory = np.empty(2), np.empty(10), np.empty((len(world.lanes), 4))
-    best, chosen, follows, after, at_end = -np.inf, -1, -1, np.empty(10), np.empty(10)
+    best, chosen, follows, second, end = -np.inf, -1, -1, np.empty(10), np.empty(10)
     for a in range(len(actions)):
         command = actions[a, 0], actions[a, 1]
-        copy_to(state, after)
-        nearest = period_under(rover, world, after, command, 0, memory)
+        copy_to(state, second)
+        nearest = period_under(rover, world, second, command, 0, memory)
         if nearest + ENOUGH <= best + BETTER:
             continue
         for number in range(len(ways)):
             b = (first + number) % len(ways)
             backup = Backup(ways[b], periods[b], command[0] if ways[b] == HOLD else speeds[b], command[1])
-            copy_to(after, at_end)
-            value = worth(rover, world, at_end, nearest, backup, best, memory)
+            copy_to(second, end)
+            value = worth(rover, world, end, nearest, backup, best, memory)
             if value > best:
                 best, chosen, follows = value, a, b
                 if is_first:
