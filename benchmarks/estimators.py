@@ -18,7 +18,7 @@ from filterpy.kalman import KalmanFilter as FilterpyKalmanFilter
 from printing import show, versioned_table
 
 from armctl.core.arrays import Array
-from armctl.envs import TaskVectorEnv, make_worlds
+from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, make_worlds
 from armctl.estimation import ArmObserver, DriveObserver, KalmanFilter
 from armctl.estimation.kalman import constant_velocity
 from armctl.kinematics import ArmModel
@@ -100,6 +100,7 @@ def arm_filter(steps: int) -> Step:
 def rover_filter(steps: int) -> Step:
     """Filter random actions of rovers among people."""
     worlds, rng = make_worlds("armctl/BridgeCrossMoving-v0", WORLDS), np.random.default_rng(0)
+    assert isinstance(worlds, TaskVectorEnv)
     filters, timed = (RoverFilters(worlds, RoverFilterOptions()) for _ in range(2))
     low, high = worlds.task.action_range
     taken: list[Any] = []
@@ -112,7 +113,7 @@ def rover_filter(steps: int) -> Step:
     return lambda i: timed.filters[i % WORLDS](*taken[i])
 
 
-def play(worlds: TaskVectorEnv, filters: tuple[Filters, Filters], act: Callable[[int], Array], steps: int) -> None:
+def play(worlds: EpisodeVectorEnv, filters: tuple[Filters, Filters], act: Callable[[int], Array], steps: int) -> None:
     """Begin an episode in each of the worlds, and so many control steps in all, in each of which a world acts."""
     worlds.reset(seed=SEED)
     for some in filters:
