@@ -8,6 +8,7 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import ArmModel
 from armctl.robot_description import load_arm, mjcf_file
+from armctl.robot_description.meshes import thinness
 from armctl.robots import build_arm_world
 from armctl.rollout import evaluate
 
@@ -122,6 +123,15 @@ def test_capsules_enclose_all_geoms_that_collide(write):
     np.testing.assert_allclose(ball.start, [0, 0, 0.06], atol=2e-3)
     assert 0.04 <= ball.radius < 0.042
     assert {shape.link for shape in arm.meshes} >= {"l1", "thumb"}
+
+
+def test_a_screen_without_thickness_is_drawn(write):
+    flat = '<mesh name="flat" vertex="0 0 0 .1 0 0 0 .1 0 .1 .1 0" face="0 1 2 1 3 2" inertia="shell"/>'
+    screen = '<geom type="mesh" mesh="flat" contype="0" conaffinity="0"/><geom type="mesh" mesh="wedge"'
+    arm = load_arm(write(ARM.replace("<asset>", f"<asset>{flat}").replace('<geom type="mesh" mesh="wedge"', screen)))
+    world = build_arm_world(arm, "position")
+    assert sum(geom == mujoco.mjtGeom.mjGEOM_MESH for geom in world.geom_type) == len(arm.meshes)
+    assert any(thinness(shape.vertices) for shape in arm.meshes)
 
 
 def test_a_body_or_another_site_may_be_the_tip(write):

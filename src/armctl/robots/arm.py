@@ -15,6 +15,7 @@ from armctl.robot_description import ArmDescription
 from armctl.robot_description.capsules import Capsule
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.joint_profiles import FOLLOWING_ERROR, TICK
+from armctl.robot_description.meshes import thinness
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.impacts import add_impact_sensors
@@ -38,6 +39,9 @@ parameters")."""
 
 PREFIX = "arm/"
 """Prefix of the arm's names in a world's model."""
+
+MIN_VOLUME = 1e-12
+"""m^3, six times that of a drawn mesh: with less, MuJoCo takes it for an error."""
 
 _VISUAL_GROUP, _COLLISION_GROUP = 2, 3
 
@@ -166,7 +170,10 @@ def _with_compiler_options(urdf: str) -> str:
 def _add_shapes(spec: mujoco.MjSpec, description: ArmDescription) -> None:
     for i, mesh in enumerate(description.meshes):
         name = f"{PREFIX}{mesh.link}_mesh_{i}"
-        spec.add_mesh(name=name, uservert=mesh.vertices.ravel(), userface=mesh.triangles.ravel())
+        visual = spec.add_mesh(name=name, uservert=mesh.vertices.ravel(), userface=mesh.triangles.ravel())
+        corners = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.triangles]
+        if thinness(mesh.vertices) or abs(np.linalg.det(corners).sum()) < MIN_VOLUME:
+            visual.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a screen, whose mass does not matter
         _link(spec, mesh.link).add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
