@@ -17,7 +17,8 @@ ARM = """
   <compiler angle="degree" autolimits="true"/>
   <default><default class="motor"><joint armature="0.2" damping="0.5"/></default></default>
   <worldbody>
-    <geom type="plane" size="1 1 1"/>
+    <geom type="plane" size="1 1 1" material="grid"/><geom type="hfield" hfield="hills" pos="5 5 0"/>
+    <geom type="box" size="1 1 .1" pos="4 0 -.1" material="layered"/>
     <body name="table" pos="2 0 0"><geom type="box" size=".1 .1 .1"/></body>
     <body name="cube" pos="1 1 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
     <body name="base" pos="0 0 .5" euler="0 10 20">
@@ -44,7 +45,9 @@ ARM = """
       </body>
     </body>
   </worldbody>
-  <asset><mesh name="wedge" vertex="0 0 0 .02 0 0 0 .02 0 0 0 .05"/><texture name="t" type="skybox" builtin="flat"
+  <asset><hfield name="hills" nrow="2" ncol="2" size="1 1 .1 .1" elevation="0 1 1 0"/>
+    <material name="grid" texture="t"/><material name="layered"><layer texture="t" role="rgb"/></material>
+    <mesh name="wedge" vertex="0 0 0 .02 0 0 0 .02 0 0 0 .05"/><texture name="t" type="skybox" builtin="flat"
     rgb1="0 0 0" width="8" height="8"/></asset>
   <contact><exclude body1="l1" body2="l3"/></contact>
   <tendon><fixed name="pull"><joint joint="f" coef="1"/></fixed></tendon>

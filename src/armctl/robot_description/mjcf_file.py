@@ -25,7 +25,7 @@ KEPT = {"asset": ("mesh", "material"), "contact": ("exclude",), "keyframe": ("ke
 """Elements that are kept of some sections."""
 BOMBS = ("replicate", "composite", "flexcomp", "attach", "plugin")
 """Elements that make many others, or read further files."""
-INVISIBLE = ("light", "camera", "hfield", "texture", "skin", "flex")
+INVISIBLE = ("light", "camera", "hfield", "texture", "layer", "skin", "flex")
 
 
 @dataclass
@@ -108,12 +108,12 @@ def _simplify(root: Element) -> None:
     """Remove from a tree what an arm does not need, and what depends on it."""
     for parent in list(root.iter()):
         for child in list(parent):
-            if child.tag in INVISIBLE or (parent.tag == "actuator" and "joint" not in child.attrib):
+            is_terrain = child.tag == "geom" and child.get("type") in ("hfield", "sdf")
+            is_of_tendon = parent.tag == "actuator" and "joint" not in child.attrib
+            if child.tag in INVISIBLE or is_terrain or is_of_tendon:
                 parent.remove(child)
     for material in root.iter("material"):
         material.attrib.pop("texture", None)
-    for geom in root.iter("geom"):
-        geom.attrib.pop("hfield", None)
     for key in root.findall("keyframe/key"):
         for name in set(key.attrib) - {"name", "qpos"}:
             del key.attrib[name]
