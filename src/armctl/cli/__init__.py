@@ -9,7 +9,7 @@ from collections.abc import Sequence, Set
 from types import FrameType
 from typing import NoReturn
 
-from armctl.cli import catalogue, compare, evaluate, export, judge, learn, new, play, share, tune
+from armctl.cli import catalogue, compare, evaluate, export, judge, learn, new, play, robustness, share, tune
 from armctl.cli.app import app, settings
 from armctl.core.errors import ArmctlError, format_cause
 
@@ -24,6 +24,7 @@ __all__ = [
     "main",
     "new",
     "play",
+    "robustness",
     "share",
     "tune",
 ]

@@ -1,4 +1,4 @@
-"""Verbs that compare: `compare` on one task, `sweep` under disturbances, `suite` in all tasks."""
+"""Verbs that compare: `compare` on one task, `suite` in all tasks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +30,6 @@ from armctl.cli.options import (
     checked_policy,
     environment_options,
     exit_if_interrupted,
-    levels_of,
     make_report,
     new_folder,
     print_document,
@@ -177,72 +176,9 @@ def compare(request: CompareRequest) -> None:
         }
         return comparison_plan(request.policies, request.env, num_episodes, request.seed, options)
 
-    _play(request, request.out, plan, "{0}/episodes.csv has the episodes, {0}/summary.json the tables.", request.report)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SweepRequest(TaskRequest):
-    """Options of `sweep`."""
-
-    disturbances: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--disturbance",
-            metavar="NAME[=LEVELS]",
-            help="Disturbance; can be repeated: `--disturbance noise --disturbance payload=0,1,2,4`.",
-            show_default="all of the environment's",
-            autocompletion=completion.disturbances,
-        ),
-    ] = None
-    episodes: Annotated[
-        int | None,
-        typer.Option(min=1, help="Episodes that every policy plays at each level.", show_default="100"),
-    ] = None
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for episodes.csv and sweep.csv.", show_default="results/<date and time>")
-    ] = None
-    slow_down: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LEVELS",
-            help="Slower computers, in real time: `--slow-down 1,2,5,10,30`, short for `--disturbance slow-down=...`.",
-        ),
-    ] = None
-    real_time: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Results folder whose decision times `--slow-down` repeats.",
-            show_default="those of the undisturbed comparison, with one world and one worker",
-        ),
-    ] = None
-
-
-@verb
-def sweep(request: SweepRequest) -> None:
-    """Compare policies on the same episodes under increasing disturbances, and print how robust each is.
-
-    Disturbances: `noise` of sensors, `delay` of actions, `payload`, `friction`, `strength` of motors, `pushes`,
-    `mismatch` between the robot and the controllers' model of it, and `dropout` of camera images. Noise and dropout
-    spare policies that see the state, which are then not ranked; `noise_on_state` reaches them. `armctl list` shows the
-    levels. With `--slow-down`, success is against the
-    slowness of the computer, in a world that does not wait.
-
-    Every episode is written as it ends. After Ctrl-C, the same command with the same `--out` resumes the sweep.
-    """
-    task_options = request.task_options  # before the imports, so that a misspelt one is told at once
-    num_episodes = request.num_episodes(request.episodes, 100)
-    from armctl.episodes.stored import SLOW_DOWN_NAME
-    from armctl.study.plan import sweep_plan
-
-    arguments = (request.disturbances or []) + ([f"{SLOW_DOWN_NAME}={request.slow_down}"] if request.slow_down else [])
-    levels = levels_of(arguments) if arguments else None
-
-    def plan(options: Any) -> "Plan":
-        options |= task_options | {"real_time": request.real_time}
-        return sweep_plan(request.policies, request.env, levels, num_episodes, request.seed, options)
-
-    _play(request, request.out, plan, "{0}/sweep.csv has the curves.")
+    play_study(
+        request, request.out, plan, "{0}/episodes.csv has the episodes, {0}/summary.json the tables.", request.report
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,10 +231,10 @@ def suite(request: SuiteRequest) -> None:
     def plan(options: Any) -> "Plan":
         return suite_plan(request.envs or (ALL,), request.quick, num_episodes, request.seed, options)
 
-    _play(request, request.out, plan, "", report=True, video=request.video)
+    play_study(request, request.out, plan, "", report=True, video=request.video)
 
 
-def _play(
+def play_study(
     request: StudyRequest,
     out: Path | None,
     make_plan: Callable[[Any], "Plan"],

@@ -314,17 +314,6 @@ def make_report(
     console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)
 
 
-def levels_of(arguments: list[str]) -> dict[str, Any]:
-    """Levels by disturbance, from NAME=LEVEL,LEVEL...; None from NAME without levels."""
-    from armctl.core.options import option_value
-
-    levels: dict[str, Any] = {}
-    for argument in arguments:
-        name, equals, numbers = argument.partition("=")
-        levels[name] = option_value(f"[{numbers}]") if equals else None
-    return levels
-
-
 def environment_options(env: str, pairs: list[str] | None, **short_forms: Any) -> dict[str, Any]:
     """Options of an environment, of `options_of`. Their names are checked before anything is loaded."""
     from armctl.envs.find import check_option_names

@@ -15,12 +15,14 @@ from armctl.episodes.record import EpisodeResult
 from armctl.episodes.stored import UNDISTURBED
 from armctl.policies import is_code
 from armctl.report import style
+from armctl.report.pair_maps import pair_maps
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
 from armctl.report.suite_page import write_suite_page
 from armctl.runtime.provenance import with_looks
 from armctl.stats.robustness import robustness_headline, robustness_rankings
 from armctl.study.comparison import Comparison
+from armctl.study.grid_tables import grid_summary
 from armctl.study.names import FROM_UNDISTURBED, SUITE, task_name
 from armctl.study.results import read_study
 from armctl.study.task_results import Sweep
@@ -83,15 +85,15 @@ def write_task_page(swept: Sweep, out: Path, name: str, video: bool | None, prog
         "folder": name,
         "comparison": comparison,
         "robustness": sweep_plots(points, rankings, styles) if len(points) else [],
-        "ranking": renamed(with_looks(robustness_headline(rankings), swept.looks), styles),
+        "ranking": renamed(with_looks(robustness_headline(rankings) or grid_summary(swept.maps), swept.looks), styles),
         "swept_by_success": bool(points.success.notna().any()),
         "swept": [styles[policy] for policy in points.policy.unique()],
         "together": [],
         "lowest": [],
     }
     progress("drawing figures")
-    page |= _comparison(comparison, styles)
-    if len(points):
+    page |= _comparison(comparison, styles) | pair_maps(swept.maps, swept.units, styles)
+    if len(points) or swept.maps:
         page["command"] = f"{_command('sweep', comparison, page['extent'])}{_disturbances(swept)}"
     if video is False:
         page["no_videos"] = (
@@ -203,4 +205,12 @@ def _real_time_options(comparison: Comparison) -> str:
 def _disturbances(swept: Sweep) -> str:
     settings = [f"{name}={','.join(f'{level:g}' for level in at)}" for name, at in swept.levels.items()]
     recorded = "" if swept.recorded in ("", FROM_UNDISTURBED) else f" --real-time {shlex.quote(swept.recorded)}"
-    return "".join(f" --disturbance {shlex.quote(setting)}" for setting in settings) + recorded
+    pairs = [
+        ",".join(
+            f"{name}={','.join(f'{level:g}' for level in at[1:])}"
+            for name, at in ((grid.rows, grid.row_levels), (grid.columns, grid.column_levels))
+        )
+        for grid in swept.grids
+    ]
+    options = [("disturbance", setting) for setting in settings] + [("pairs", pair) for pair in pairs]
+    return "".join(f" --{name} {shlex.quote(value)}" for name, value in options) + recorded

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +19,8 @@ from armctl.study.task_results import COLUMNS
 if TYPE_CHECKING:
     import pandas as pd
 
-SUMMARY, POINTS = "summary.json", "sweep.csv"
-NAMES = (SUMMARY, POINTS, EPISODES, DECISIONS, EPISODES_PARQUET)
+SUMMARY, POINTS, PAIRS = "summary.json", "sweep.csv", "pairs.csv"
+NAMES = (SUMMARY, POINTS, PAIRS, EPISODES, DECISIONS, EPISODES_PARQUET)
 """All that may be written from a store."""
 
 
@@ -34,6 +35,8 @@ def write_output(folder: Path, study: Study) -> None:
         write_atomically(folder / SUMMARY, json.dumps(about, indent=2) + "\n")
         if not is_comparison:
             write_atomically(folder / POINTS, _points(study).to_csv(index=False))
+        if records := [record for swept in study.tasks.values() for part in swept.maps for record in part.records]:
+            write_atomically(folder / PAIRS, _csv(records))
 
 
 def check_output(folder: Path) -> None:
@@ -58,6 +61,13 @@ def _points(study: Study) -> "pd.DataFrame":
     if study.kind == SUITE:
         tables = [table.assign(env=env)[["env", *COLUMNS]] for env, table in zip(study.tasks, tables, strict=True)]
     return pd.concat(tables) if len(tables) > 1 else tables[0]
+
+
+def _csv(records: Sequence[Mapping[str, Any]]) -> str:
+    """Return records with the same keys as CSV."""
+    import pandas as pd
+
+    return pd.DataFrame(records).to_csv(index=False)
 
 
 def summary(comparison: Comparison) -> dict[str, Any]:

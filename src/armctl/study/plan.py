@@ -26,6 +26,7 @@ from armctl.rollout.real_time import (
 from armctl.runtime.engines import Engine, engine_of
 from armctl.stats.difference import MARGIN
 from armctl.stats.sequential import block_ends
+from armctl.study.grids import Grid, Pairs, checked_grids
 from armctl.study.levels import Disturbances, checked_levels, disturbance_specs
 from armctl.study.line_up import FULL, QUICK, default_policies, line_up, main_disturbances, unusable_agents
 from armctl.study.names import COMPARISON, FROM_UNDISTURBED, SUITE, SWEEP, setting_name, task_name
@@ -101,6 +102,8 @@ class TaskPlan:
     """Units of each disturbance's levels."""
     recorded: str = ""
     """Source of the decision times of the slow-down levels; empty without such levels."""
+    grids: Sequence[Grid] = ()
+    """Pairs of disturbances."""
 
 
 @dataclass(frozen=True)
@@ -183,15 +186,26 @@ def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options:
 
 
 def sweep_plan(
-    policies: Any, env: str, disturbances: Disturbances, episodes: int, seed: Seed, options: TaskOptions
+    policies: Any,
+    env: str,
+    disturbances: Disturbances,
+    episodes: int,
+    seed: Seed,
+    options: TaskOptions,
+    pairs: Pairs = (),
 ) -> Plan:
-    """Plan an undisturbed cell, and one for each level of each disturbance. Raise as `comparison_plan` does."""
+    """Plan an undisturbed cell, one for each level of each disturbance, and those of pairs of disturbances.
+
+    With pairs, only the disturbances that are named play alone. Raise as `comparison_plan` does.
+    """
     checked_options(options, TaskOptions)
     shared = extent(episodes, evaluation_seed(seed), options)
     cell = _undisturbed(policies, env, options)
     _check_decidable(cell, shared)
-    task = _task_plan(cell, disturbances, options.get("real_time"), "", shared)
-    return Plan(SWEEP, [task], **shared, envs=[task.env])
+    task = _task_plan(
+        cell, {} if pairs and disturbances is None else disturbances, options.get("real_time"), "", shared
+    )
+    return Plan(SWEEP, [_with_grids(task, pairs)], **shared, envs=[task.env])
 
 
 def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: Seed, options: StudyOptions) -> Plan:
@@ -299,3 +313,25 @@ def _task_plan(
                 changed = replace(undisturbed, env_options=options | {"disturbances": constant | {name: level}})
             cells.append(replace(changed, name=prefix + setting_name(name, level)))
     return TaskPlan(env, cells, levels, {name: specs[name].unit for name in levels}, source)
+
+
+def _with_grids(task: TaskPlan, pairs: Pairs) -> TaskPlan:
+    """Return the plan with the cells of pairs of disturbances."""
+    if not pairs:
+        return task
+    undisturbed = task.cells[0]
+    options = dict(undisturbed.env_options)
+    specs = disturbance_specs(task.env, options)
+    grids = checked_grids(specs, pairs)
+    constant = dict(options.pop("disturbances", {}))
+    cells = [
+        replace(
+            undisturbed,
+            name=grid.setting(row, column),
+            env_options=options | {"disturbances": constant | {grid.rows: row, grid.columns: column}},
+        )
+        for grid in grids
+        for row, column in grid.cells
+    ]
+    units = {name: specs[name].unit for grid in grids for name in (grid.rows, grid.columns)}
+    return replace(task, cells=[*task.cells, *cells], units={**task.units, **units}, grids=grids)

@@ -64,6 +64,8 @@ def _study(stored: StoredStudy) -> Study:
     if study.kind != SUITE and len(tasks) != 1:
         raise ValueError(f"it has {len(tasks)} tasks")
     levels = [levels for swept in study.tasks.values() for levels in swept.levels.values()]
+    grids = [grid for swept in study.tasks.values() for grid in swept.grids]
+    levels += [at for grid in grids for at in (grid.row_levels, grid.column_levels, (grid.rows, grid.columns))]
     if any(len(set(values)) < len(values) for values in (study.envs, *levels)):
         raise ValueError("it names a task or a level twice")
     planned, study.tasks = study.tasks, {}
@@ -78,7 +80,8 @@ def _study(stored: StoredStudy) -> Study:
 
 
 def _read_cells(swept: Sweep, kind: str, stored: StoredStudy) -> None:
-    for setting in (UNDISTURBED, *swept.settings):
+    paired = (grid.setting(*levels) for grid in swept.grids for levels in grid.cells)
+    for setting in (UNDISTURBED, *swept.settings, *paired):
         cell = stored.cells.get(cell_name(kind, swept.env, setting))
         if cell is not None and cell.facts is not None:
             swept.comparisons[setting] = comparison = _comparison(cell)

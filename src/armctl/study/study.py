@@ -1,7 +1,7 @@
 """The result of a study: tasks, and the cells of each."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
@@ -46,7 +46,7 @@ class Study(Displayed):
     def of(cls, plan: "Plan") -> "Study":
         """Return a study without any episode."""
         tasks = {
-            task.env: Sweep(task.env, plan.seed, task.levels, task.units, task.recorded, {}, {}, False)
+            task.env: Sweep(task.env, plan.seed, task.levels, task.units, task.recorded, {}, {}, False, task.grids)
             for task in plan.tasks
         }
         return cls(plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick, tasks, dict(plan.failures), False)
@@ -121,8 +121,9 @@ class Study(Displayed):
 
     def record(self) -> dict[str, Any]:
         """Return the JSON values that are stored besides the cells."""
+        names = ("levels", "units", "recorded", "failures", "interrupted")
         tasks = {
-            env: {name: getattr(swept, name) for name in ("levels", "units", "recorded", "failures", "interrupted")}
+            env: {name: getattr(swept, name) for name in names} | {"grids": [asdict(grid) for grid in swept.grids]}
             for env, swept in self.tasks.items()
         }
         about = {name: getattr(self, name) for name in ("kind", "seed", "episodes", "envs", "quick", "failures")}

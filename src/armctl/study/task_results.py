@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import InstanceOf
 
@@ -13,8 +13,11 @@ from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
 from armctl.policies import isolation
 from armctl.stats.difference import Difference
 from armctl.stats.intervals import Estimate
+from armctl.stats.leaders import leaders
 from armctl.stats.robustness import NEUTRAL, PairKey, change_between
 from armctl.study.comparison import Comparison
+from armctl.study.grid_tables import GridMap, grid_maps, grid_parts
+from armctl.study.grids import Grid
 from armctl.study.names import setting_name
 from armctl.verdict.facts import Finite
 from armctl.verdict.notebook import Displayed
@@ -39,6 +42,8 @@ environment does not obey its seed, that of `unconditional`; and where cells sto
 the tested statistic: success minus that without the disturbance, or the share of episodes with a higher return minus
 the share with a lower one. `spared` is True where the disturbance does not reach the policy, which is in no test then:
 `p` and `change` are NaN."""
+PAIR_COLUMNS = ("rows", "row_level", "columns", "column_level", *COLUMNS[2:])
+"""Columns of a cell of a grid and a policy: as `COLUMNS`, with a level of each of two disturbances."""
 
 
 @dataclass(repr=False)
@@ -58,10 +63,13 @@ class Sweep(Displayed):
     failures: dict[str, str]
     """Error messages: by setting and policy, or under `results` if results could not be written."""
     interrupted: bool
+    grids: Sequence[Grid] = ()
+    """Pairs of disturbances."""
 
     def document(self) -> Document:
-        """Return a table for each disturbance, and the level from which each policy gets worse."""
-        parts = sweep_parts(self.points, self.pairs, self.looks, self.paired)
+        """Return a table for each disturbance, and the level from which each policy gets worse; then those of pairs."""
+        parts = sweep_parts(self.points, self.pairs, self.looks, self.paired) if self.levels else []
+        parts += grid_parts(self.maps, self.looks)
         waiting = (comparison for comparison in self.comparisons.values() if comparison.facts.real_time is None)
         notes = itertools.chain.from_iterable(comparison.notes for comparison in waiting)
         parts += [Remark(note, "note") for note in dict.fromkeys(notes)]
@@ -103,14 +111,40 @@ class Sweep(Displayed):
                     continue
                 disturbed_rows = undisturbed_rows if first else counted_rows(comparison.results)
                 for policy in comparison.policies:
-                    values = (
-                        name, level, policy.policy, policy.episodes, *_numbers(policy.success),
-                        *_numbers(policy.episode_return), *_numbers(policy.steps_to_goal),
-                        *((1.0, 0.0) if first else self._change(undisturbed_rows, disturbed_rows, policy)),
-                        self.units[name], policy.sees, bool(policy.spared),
-                    )  # fmt: skip
+                    change = (1.0, 0.0) if first else self._change(undisturbed_rows, disturbed_rows, policy)
+                    values = (name, level, *_point(policy, change, self.units[name]))
                     rows.append(dict(zip(COLUMNS, values, strict=True)))
         return pd.DataFrame(rows, columns=list(COLUMNS))
+
+    @cached_property
+    def maps(self) -> list[GridMap]:
+        """Success and leaders in the cells of each pair of disturbances; worked out once, when all is played."""
+        undisturbed = self.undisturbed
+        if undisturbed is None or not self.grids:
+            return []
+        undisturbed_rows, rows = counted_rows(undisturbed.results), []
+        for grid in self.grids:
+            for row, column in itertools.product(grid.row_levels, grid.column_levels):
+                setting = grid.setting(row, column)
+                if (comparison := self.comparisons.get(setting)) is None:
+                    continue
+                disturbed_rows = counted_rows(comparison.results)
+                for policy in comparison.policies:
+                    is_first = setting == UNDISTURBED
+                    change = (1.0, 0.0) if is_first else self._change(undisturbed_rows, disturbed_rows, policy)
+                    unit = f"{self.units[grid.rows]}; {self.units[grid.columns]}"
+                    values = (grid.rows, row, grid.columns, column, *_point(policy, change, unit))
+                    rows.append(dict(zip(PAIR_COLUMNS, values, strict=True)))
+        tests = {name: cell.differences for name, cell in self.comparisons.items() if name in self._settings_of_grids}
+        return grid_maps(self.grids, rows, leaders(tests))
+
+    @property
+    def _settings_of_grids(self) -> set[str]:
+        return {
+            grid.setting(*levels)
+            for grid in self.grids
+            for levels in itertools.product(grid.row_levels, grid.column_levels)
+        }
 
     @property
     def paired(self) -> bool:
@@ -129,6 +163,7 @@ class Sweep(Displayed):
         return {
             (*where[name], frozenset((pair.a, pair.b))): pair
             for name, comparison in self.comparisons.items()
+            if name in where
             for pair in comparison.differences
         }
 
@@ -157,6 +192,14 @@ class Sweep(Displayed):
         names = ", ".join(dict.fromkeys(self.points.policy)) or "no policy"
         swept = ", ".join(f"{name} at {len(levels)} levels" for name, levels in self.levels.items())
         return f"<Sweep of {names} in {self.env}, seed {self.seed}: {swept}>"
+
+
+def _point(policy: PolicySummary, change: tuple[float, float], unit: str) -> tuple[Any, ...]:
+    """Return a policy's columns in `sweep.csv` and `pairs.csv` after those of the levels."""
+    return (
+        policy.policy, policy.episodes, *_numbers(policy.success), *_numbers(policy.episode_return),
+        *_numbers(policy.steps_to_goal), *change, unit, policy.sees, bool(policy.spared),
+    )  # fmt: skip
 
 
 def _numbers(estimate: Estimate | None) -> tuple[float, float, float]:

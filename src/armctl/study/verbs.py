@@ -9,6 +9,7 @@ from armctl.core.seeds import Seed
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.stored import UNDISTURBED
 from armctl.study.comparison import Comparison
+from armctl.study.grids import Pairs
 from armctl.study.levels import Disturbances
 from armctl.study.options import ComparisonOptions, StudyOptions, TaskOptions
 from armctl.study.plan import ALL, comparison_plan, suite_plan, sweep_plan
@@ -58,6 +59,7 @@ def sweep(
     env: str = DEFAULT_ENV,
     *,
     disturbances: Disturbances = None,
+    pairs: Pairs = (),
     episodes: int = 100,
     seed: Seed = 0,
     out: str | Path | None = None,
@@ -72,13 +74,18 @@ def sweep(
     those in the results folder `real_time`, or else those of the undisturbed comparison, which then needs one world and
     one worker.
 
-    The other arguments are those of `compare`. `out` gets one `results.sqlite` for all, and `sweep.csv`. The same call
-    resumes an interrupted sweep, and a call with more levels extends it; a comparison's folder can be extended to a
-    sweep of it. `progress` is called with the setting's name and the episode.
+    `pairs` are two disturbances at once, each pair as names (`[("delay", "noise")]`, at three levels each) or as levels
+    by name, or `"default"` for delay with noise, payload with friction, and mismatch with noise, as far as the
+    environment has them. All combinations of levels are played, beside the undisturbed cell. With pairs, only those
+    disturbances are swept alone that `disturbances` names.
+
+    The other arguments are those of `compare`. `out` gets one `results.sqlite` for all, `sweep.csv`, and `pairs.csv`.
+    The same call resumes an interrupted sweep, and a call with more levels extends it; a comparison's folder can be
+    extended to a sweep of it. `progress` is called with the setting's name and the episode.
 
     Raises `ConfigurationError`, `AgentFileError`, and `ResultsError` as `compare` does.
     """
-    plan = sweep_plan(policies, env, disturbances, episodes, seed, options)
+    plan = sweep_plan(policies, env, disturbances, episodes, seed, options, pairs)
     study = play(plan, out, options, lambda cell, result: progress(cell.setting, result) if progress else None)
     (task,) = study.tasks.values()
     return task
