@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import scipy
 
@@ -54,7 +54,7 @@ def leaders(tests: Mapping[Cell, Iterable[PairTest]]) -> dict[Cell, Leader]:
     false discovery rate of 5 % over all tests of all cells (Benjamini and Hochberg 1995).
     """
     listed = [(cell, test) for cell, in_cell in tests.items() for test in in_cell]
-    adjusted = scipy.stats.false_discovery_control([test.p for _, test in listed]) if listed else []
+    adjusted: Any = scipy.stats.false_discovery_control([test.p for _, test in listed]) if listed else []
     by_cell: dict[Cell, list[tuple[PairTest, bool]]] = {}
     for (cell, test), p in zip(listed, adjusted, strict=True):
         by_cell.setdefault(cell, []).append((test, bool(p < FALSE_DISCOVERY_RATE)))

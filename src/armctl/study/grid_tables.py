@@ -50,7 +50,7 @@ class GridMap:
     @property
     def start(self) -> int:
         """Index of the first row and column that maps show: the neutral one if a disturbance was played alone."""
-        has_value = np.isfinite(np.stack([*self.values.values()])).any(axis=0)
+        has_value = np.asarray(np.isfinite(np.stack([*self.values.values()])).any(axis=0))
         return 0 if has_value[0, 1:].any() or has_value[1:, 0].any() else 1
 
     @property
@@ -93,7 +93,7 @@ def grid_maps(
     A change from undisturbed is significant at a false discovery rate of 5 % over all policies and cells of all grids.
     """
     tested = {i: float(row["p"]) for i, row in enumerate(rows) if not np.isnan(row["p"]) and _is_disturbed(grids, row)}
-    adjusted = scipy.stats.false_discovery_control(list(tested.values())) if tested else []
+    adjusted: Any = scipy.stats.false_discovery_control(list(tested.values())) if tested else []
     worse = {i for i, p in zip(tested, adjusted, strict=True) if p < FALSE_DISCOVERY_RATE and rows[i]["change"] < 0}
     played_grids = {(row["rows"], row["columns"]) for row in rows}
     return [_map(grid, rows, worse, leader_of) for grid in grids if (grid.rows, grid.columns) in played_grids]

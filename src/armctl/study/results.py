@@ -1,7 +1,7 @@
 """Reads a study's folder back, without playing anything."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +63,7 @@ def _study(stored: StoredStudy) -> Study:
     study = _STUDY.validate_python(record | {"tasks": sweeps})
     if study.kind != SUITE and len(tasks) != 1:
         raise ValueError(f"it has {len(tasks)} tasks")
-    levels = [levels for swept in study.tasks.values() for levels in swept.levels.values()]
+    levels: list[Sequence[Any]] = [levels for swept in study.tasks.values() for levels in swept.levels.values()]
     grids = [grid for swept in study.tasks.values() for grid in swept.grids]
     levels += [at for grid in grids for at in (grid.row_levels, grid.column_levels, (grid.rows, grid.columns))]
     if any(len(set(values)) < len(values) for values in (study.envs, *levels)):
