@@ -22,6 +22,9 @@ and the robustness ranking:
     <!-- armctl sweep reach_ik reach_ppo --disturbance noise=0.02,0.05 --seed test -->
     <!-- end -->
 
+Of a sweep with `--pairs`, it is all tables; of a suite, the headline and the map of kinds that lead; of worst cases,
+the table and its caption.
+
 The last comment before the end has a checksum of each policy that the block shows: of its networks, and of its episodes
 in `benchmarks/golden.json`, which is recorded anew whenever episodes change on purpose. A block of the sealed test has
 the seed as well. Where one of them is another today, the block is stale. A record of what can no longer be played is
@@ -67,6 +70,8 @@ OUT = "results/test"
 BRIEF_COLUMNS = 6
 """Columns of a comparison's table in short: those up to what a policy sees."""
 TEST = "test seed"
+WITHOUT_WORST_CASES = re.compile(r"\*\*Worst cases|\S+ fails in episode ")
+"""Paragraphs of worst cases that pages leave out: the title, and commands that show failures."""
 
 
 def renewed(page: str, chosen: Callable[[re.Match[str]], bool] = lambda block: True) -> str:
@@ -91,7 +96,11 @@ def _of_armctl(command: str, form: str, folder: Path) -> list[str]:
         lines = map(str.rstrip, _printed(words, folder, TERMINAL).splitlines())
         return ["\n".join(("```text", *lines, "```"))]
     parts = results(_printed([*words, "--format", "markdown"], folder))
-    if command.startswith("armctl sweep "):
+    if command.startswith("armctl suite "):
+        return of_suite(parts)
+    if command.startswith("armctl worst-case "):
+        return [part for part in parts if not WITHOUT_WORST_CASES.match(part)]
+    if command.startswith("armctl sweep ") and "--pairs" not in command:
         notes = [f"> {part.strip('*')}" for part in parts if part.startswith("**Under ")]
         return [*pivoted(pd.read_csv(folder / OUT / "sweep.csv")), *notes]
     return brief(parts) if form else parts
@@ -113,6 +122,12 @@ def results(printed: str) -> list[str]:
     paragraphs = [part.strip() for part in printed.split("\n\n")]
     dropped = re.compile(r"\*\*[^\n]*episodes of seed|\*\*(Paired|Unpaired)|\| a - b|p: (McNemar|Barnard)")
     return [re.sub(r"^(\S+: \d)", r"- \1", part) for part in paragraphs if not dropped.match(part)]
+
+
+def of_suite(parts: Sequence[str]) -> list[str]:
+    """Return the headline of a suite, the map of the kinds that lead, and its legend."""
+    start = next(i for i, part in enumerate(parts) if part.startswith("| task | none |"))
+    return [*(f"> {part.strip('*')}" for part in parts if part.startswith("**Of ")), *parts[start : start + 2]]
 
 
 def pivoted(points: pd.DataFrame) -> list[str]:
@@ -171,7 +186,7 @@ def checksums(command: str, body: str) -> dict[str, str]:
     """Return a checksum of each policy that a block's command or body names, and the test's seed if it is played."""
     words = set(re.findall(r"\w+", MARKS.sub("", f"{command} {body}").replace("\\", "")))
     policies = {name: _checksum_of(name) for name in policy_names() if name in words}
-    return policies | ({TEST: str(TEST_SEED)} if "--seed test" in command else {})
+    return policies | ({TEST: str(TEST_SEED)} if "seed test" in command else {})
 
 
 @functools.cache

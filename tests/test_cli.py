@@ -21,14 +21,16 @@ from .stores import wait_for_episodes
 
 
 @pytest.mark.one_case
-@pytest.mark.parametrize("verb", ["list", "compare", "sweep", "suite", "run", "view", "collect", "train"])
+@pytest.mark.parametrize("verb", ["list", "compare", "sweep", "worst-case", "suite", "run", "view", "collect", "train"])
 def test_help_teaches_each_verb(verb, tmp_path):
     assert verb in armctl("--help", cwd=tmp_path).stdout
     assert "Usage: armctl" in armctl(verb, "--help", cwd=tmp_path).stdout
 
 
 @pytest.mark.one_case
-@pytest.mark.parametrize("verb", ["compare", "train", "sweep", "suite", "view", "collect", "plan", "export"])
+@pytest.mark.parametrize(
+    "verb", ["compare", "train", "sweep", "worst-case", "suite", "view", "collect", "plan", "export"]
+)
 def test_help_has_no_types_of_flags_and_breaks_none(verb, tmp_path):
     text = program(verb, "--help", cwd=tmp_path, COLUMNS="80").stdout
     assert "<bool>" not in text + program("--help", cwd=tmp_path).stdout
@@ -225,6 +227,21 @@ def test_ctrl_c_keeps_what_a_sweep_has_finished(tmp_path):
     assert "resumes from there" in output
     assert "Traceback" not in errors
     assert set(pd.read_csv(tmp_path / "here" / "episodes.csv").cell) == {"none"}
+
+
+@pytest.mark.slow
+def test_worst_cases_are_searched_printed_and_reported(tmp_path):
+    command = (
+        "worst-case", "random", "--disturbances", "payload=10,delay", "--budget", "50", "--episodes", "3", "--worlds",
+        "10", "--set", "max_episode_steps=20", "--no-video", "--out", "here",
+    )  # fmt: skip
+    first = armctl(*command, cwd=tmp_path)
+    assert "payload 0 to 10 (kg), delay 0 to 8" in " ".join(first.stdout.split())
+    assert "armctl view random" in first.stdout
+    assert (tmp_path / "here" / "report.html").exists()
+    assert pd.read_csv(tmp_path / "here" / "worst_case.csv").policy.tolist() == ["random"]
+    again = armctl(*command, "--format", "json", cwd=tmp_path)
+    assert json.loads(again.stdout)["worst_cases"][0]["radius"] == 0
 
 
 def test_run_prints_states_actions_and_rewards(tmp_path):

@@ -141,3 +141,20 @@ def test_a_table_is_stale_once_what_it_shows_is_another(monkeypatch, tmp_path):
     (tmp_path / "benchmarks/golden.json").write_text(json.dumps(golden))
     tables["_checksum_of"].cache_clear()
     assert found(marks) == ["reach_ik", "reach_ppo"]
+
+
+def test_of_a_suite_pages_have_the_headline_and_the_map():
+    of_suite = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["of_suite"]
+    parts = [
+        "**Of 1 task, by success: undecided in ArmReach.**", "**Which kind leads**", "| task | none | delay \\(1\\) |",
+        "C, L: a legend", "**1 tasks: 20 episodes**", "| task | classical |",
+    ]  # fmt: skip
+    assert of_suite(parts) == ["> Of 1 task, by success: undecided in ArmReach.", *parts[2:4]]
+
+
+def test_of_worst_cases_pages_have_the_table_and_its_caption():
+    pattern = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["WITHOUT_WORST_CASES"]
+    assert pattern.match("**Worst cases in armctl/ArmReach-v0**")
+    assert pattern.match("reach\\_ik fails in episode 3: armctl view reach\\_ik")
+    assert not pattern.match("| policy | distance |")
+    assert not pattern.match("Distance of the mildest disturbance")

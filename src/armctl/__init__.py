@@ -32,6 +32,7 @@ _HOMES = {
     "compare": "armctl.study",
     "sweep": "armctl.study",
     "suite": "armctl.study",
+    "worst_case": "armctl.study",
     "judge": "armctl.judging",
 }
 __all__ = list(_HOMES)

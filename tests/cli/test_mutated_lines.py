@@ -62,7 +62,13 @@ LINES: dict[str, Any] = {
     "sweep": (
         [("random",), ("--episodes", "1"), ARM, SHORT, ("--disturbance", "delay=1")],
         [*PLAYED, DISTURBED, [("--success-return", "-1")], [("--return-bounds", "-9", "9")],
-         [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], EARLY, ISOLATED, FILTERED],
+         [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], EARLY, ISOLATED, FILTERED,
+         [("--pairs", "delay,payload"), ("--pairs", "delay=1,payload=2,3")]],
+    ),
+    "worst-case": (
+        [("random",), ("--budget", "50"), ("--episodes", "1"), ARM, SHORT, ("--disturbances", "payload"),
+         ("--no-video",)],
+        [*PLAYED, [("--judge-seed", "99")], [("--success-return", "-1")], ISOLATED, FILTERED],
     ),
     "plan": (
         [("--detect", "10")],
@@ -124,7 +130,7 @@ LINES: dict[str, Any] = {
 """Words of each verb's shortest line, in parts; and choices of parts that may come besides."""
 REFUSED = {"push", "pull", "export", "train"}
 """Verbs whose lines are refused at last, before they ask the network or train."""
-SLOW = {"suite", "train", "tune"}
+SLOW = {"suite", "train", "tune", "worst-case"}
 """Verbs of which a line takes seconds: fewer are changed."""
 SERVES = {"view"}
 """A verb that a changed line may let serve for ever: `../fuzz/test_command_lines.py` has lines of it that end."""

@@ -58,7 +58,7 @@ def report(
         Path,
         typer.Argument(
             metavar="DIR",
-            help="Folder of the results of a comparison, a sweep or a suite.",
+            help="Folder of the results of a comparison, a sweep, a suite or a search for worst cases.",
             callback=existing_folder,
         ),
     ],
@@ -79,7 +79,7 @@ def report(
         typer.Option("--policy", metavar="POLICY", help="Policy of your own that they name; can be repeated."),
     ] = None,
 ) -> None:
-    """Write the report of a comparison, a sweep or a suite: one HTML file, for offline, phone and print.
+    """Write the report of a comparison, a sweep, a suite or worst cases: one HTML file, for offline, phone and print.
 
     A results folder never runs code. If its environment or policies are modules of your own, the videos need their
     names on the command line too, as `--env` and `--policy`.

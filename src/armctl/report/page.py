@@ -19,11 +19,12 @@ from armctl.report.pair_maps import pair_maps
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
 from armctl.report.suite_page import write_suite_page
+from armctl.report.worst_case_page import write_worst_case_page
 from armctl.runtime.provenance import with_looks
 from armctl.stats.robustness import robustness_headline, robustness_rankings
 from armctl.study.comparison import Comparison
 from armctl.study.grid_tables import grid_summary
-from armctl.study.names import FROM_UNDISTURBED, SUITE, task_name
+from armctl.study.names import FROM_UNDISTURBED, SUITE, WORST_CASE, task_name
 from armctl.study.results import read_study
 from armctl.study.task_results import Sweep
 from armctl.verdict.sentences import Verdict
@@ -42,7 +43,7 @@ def write_report(
     policies: Sequence[str] = (),
     progress: Callable[[str], None] = lambda doing: None,
 ) -> Path:
-    """Write the report of a comparison's, sweep's or suite's folder to `out` (`folder/report.html`); return its path.
+    """Write the report of a study's folder to `out` (`folder/report.html`); return its path.
 
     With `video`, some episodes are played again; if that is impossible, the report says why. By default, it is so but
     for suites, whose tasks get reports of their own. A folder runs no code:
@@ -59,6 +60,9 @@ def write_report(
     if not os.path.isdir(folder):  # also for a name that no folder can have
         raise no_results(folder)
     out, study = folder / REPORT if out is None else Path(out), read_study(folder)
+    if study.kind == WORST_CASE:
+        write_worst_case_page(folder, out, video, progress)
+        return out
     reports: dict[str, str] = {}
     for env, swept in study.tasks.items():
         name, page = folder.resolve().name, out

@@ -24,6 +24,7 @@ from armctl.report.style import (
 from armctl.stats.intervals import Estimate
 
 CLASSICAL, LEARNED = Style("best classical", COLOURS[0]), Style("best learned", COLOURS[1])
+HYBRID = Style("best hybrid", COLOURS[2])
 SYMBOLS = {
     "circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲", "triangle-down": "▼", "star": "★", "hexagon": "⬢",
 }  # fmt: skip

@@ -11,9 +11,10 @@ import numpy as np
 from armctl.episodes.stored import UNDISTURBED
 from armctl.report import style, suite_figures
 from armctl.report.colours import INK
+from armctl.report.pair_maps import Lead
 from armctl.report.plots import Plot
 from armctl.report.render import write_page
-from armctl.report.suite_figures import CLASSICAL, LEARNED, SYMBOLS, CostPoint
+from armctl.report.suite_figures import CLASSICAL, HYBRID, LEARNED, SYMBOLS, CostPoint
 from armctl.stats.across_tasks import (
     Choice,
     League,
@@ -23,9 +24,10 @@ from armctl.stats.across_tasks import (
     success_profile,
 )
 from armctl.stats.intervals import Estimate
-from armctl.study.names import setting_name, task_name
+from armctl.study.names import task_name
 from armctl.study.study import Study
 from armctl.study.suite_headline import suite_headline
+from armctl.study.suite_map import KindLead, kind_lead, map_columns, represented, setting_in_column
 from armctl.study.suite_tables import success_test
 from armctl.study.task_verdict import TaskVerdict, rule_of_choice
 from armctl.verdict.summary import PolicySummary
@@ -34,6 +36,8 @@ from armctl.verdict.summary_tables import SPARED
 ALL_TASKS = "all tasks"
 ORDER = {"classical": 0, "hybrid": 1, "learned": 2}
 """Places of the kinds in a task's rows of the heat map."""
+KIND_STYLES = {"classical": CLASSICAL, "learned": LEARNED, "hybrid": HYBRID}
+"""Styles of the kinds in the map."""
 THRESHOLDS = np.linspace(0.0, 1.0, 101)
 
 
@@ -44,7 +48,8 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
     """
     verdicts = suite.verdicts
     names = list(dict.fromkeys(policy.family for verdict in verdicts for policy in verdict.policies))
-    styles, heads = suite_figures.family_styles(names), _heads(suite)
+    styles = suite_figures.family_styles(names)
+    heads = map_columns([swept.levels for swept in suite.tasks.values()])
     headline, details = suite_headline(verdicts)
     page: dict[str, Any] = {
         "headline": headline,
@@ -56,6 +61,14 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
         "command": _command(suite),
         "tasks": [{"verdict": task, "short": task_name(task.env), "link": reports.get(task.env)} for task in verdicts],
         "heads": heads,
+        "leads": [
+            _leads(suite, verdict, heads, reports.get(verdict.env))
+            for verdict in verdicts
+            if verdict.pairs or verdict.hybrid_pairs
+        ],
+        "kinds": [
+            KIND_STYLES[kind] for kind in KIND_STYLES if any(kind in represented(verdict) for verdict in verdicts)
+        ],
         "heat": [_heat(suite, verdict, heads, reports.get(verdict.env)) for verdict in verdicts if verdict.cells],
         "families": _families(verdicts, names),
         "improvement": _improvement(verdicts),
@@ -77,13 +90,28 @@ def _command(suite: Study) -> str:
     return f"armctl suite {envs} {'--quick ' if suite.quick else ''}{extent} --seed {suite.seed}"
 
 
-def _heads(suite: Study) -> list[tuple[str, int]]:
-    """Return the columns of the heat map after the undisturbed one: a disturbance, and which of its levels."""
-    columns: dict[str, int] = {}
-    for swept in suite.tasks.values():
-        for name, levels in swept.levels.items():
-            columns[name] = max(columns.get(name, 0), len(levels) - 1)
-    return [(name, i) for name, count in columns.items() for i in range(1, count + 1)]
+def _leads(suite: Study, verdict: TaskVerdict, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
+    """Return a task's row of the map: the kind that leads in each column."""
+    levels = suite.tasks[verdict.env].levels
+    settings = [(UNDISTURBED, None), *(setting_in_column(levels, head) for head in heads)]
+    return {
+        "task": task_name(verdict.env),
+        "link": link,
+        "levels": ["" if at is None or at[1] is None else f"{at[1]:g}" for at in settings],
+        "cells": [_lead(None if at is None else kind_lead(verdict, at[0])) for at in settings],
+    }
+
+
+def _lead(lead: KindLead | None) -> Lead:
+    """Return a cell of the map."""
+    if lead is None:
+        return Lead("\u2013", "not compared")
+    names = " against ".join(lead.policies.values())
+    if not lead.kind:
+        return Lead("=", f"{names}: the same success")
+    state = "significant" if lead.certain else "equivalent" if lead.equivalent else "not significant"
+    text = f"{lead.points:+.0f}{'' if lead.certain else lead.text[-2:]}"
+    return Lead(text, f"{names}: {lead.kind} leads, {state}", KIND_STYLES[lead.kind].colour, lead.certain)
 
 
 def _heat(suite: Study, verdict: TaskVerdict, heads: Sequence[tuple[str, int]], link: str | None) -> dict[str, Any]:
@@ -93,9 +121,9 @@ def _heat(suite: Study, verdict: TaskVerdict, heads: Sequence[tuple[str, int]], 
     """
     levels = suite.tasks[verdict.env].levels
     settings: list[tuple[str, str] | None] = [(UNDISTURBED, "")]
-    for name, i in heads:
-        has_level = i < len(levels.get(name, ()))
-        settings.append((setting_name(name, levels[name][i]), f"{levels[name][i]:g}") if has_level else None)
+    for head in heads:
+        at = setting_in_column(levels, head)
+        settings.append(None if at is None else (at[0], f"{at[1]:g}"))
     rows = [
         (policy.policy, [None if at is None else _cell_value(verdict, policy.policy, at[0]) for at in settings])
         for policy in sorted(verdict.policies, key=lambda policy: ORDER[policy.side])

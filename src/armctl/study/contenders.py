@@ -67,13 +67,15 @@ def is_task_decided(cell: Comparison, first: Choice, second: Choice, num_verdict
     return bool(corrected.better) or corrected.equivalent(MARGIN)
 
 
-def success_table(comparison: Comparison) -> "pd.DataFrame | None":
+def success_table(comparison: Comparison, with_spared: bool = False) -> "pd.DataFrame | None":
     """Return success by episode and policy; None if it is unknown. The episodes are those of `counted_results`.
 
-    Policies that the disturbance does not reach are left out.
+    Policies that the disturbance does not reach are left out, unless the table is asked for `with_spared` ones.
     """
     episodes = comparison.episodes
     if not len(episodes) or not comparison.policies or episodes.success.isna().any():
         return None
     success = counted_rows(comparison.results).pivot(index="episode", columns="policy", values="success").astype(float)
-    return success.reindex(columns=[policy.policy for policy in comparison.policies if not policy.spared])
+    return success.reindex(
+        columns=[policy.policy for policy in comparison.policies if with_spared or not policy.spared]
+    )

@@ -24,7 +24,7 @@ NO_LEADER = "equal"
 LEGEND = (
     "Leads: highest success, or without success the higher return in most episodes; without a mark, each other policy "
     "is significantly worse there (false discovery rate 5 % over all pairs of policies and cells of all grids); "
-    f"{UNCERTAIN}: not certain; {NO_LEADER}: several have the same."
+    f"{UNCERTAIN}: not certain; {NO_LEADER}: several share the highest."
 )
 
 

@@ -3,8 +3,8 @@
 from armctl.core.files import checked_name
 from armctl.core.registration import short_name
 
-COMPARISON, SWEEP, SUITE = "comparison", "sweep", "suite"
-"""Kinds of studies: one cell; one task's cells; the cells of several tasks."""
+COMPARISON, SWEEP, SUITE, WORST_CASE = "comparison", "sweep", "suite", "worst case"
+"""Kinds of studies: one cell; one task's cells; the cells of several tasks; a cell for each policy."""
 FROM_UNDISTURBED = "the undisturbed comparison"
 """Source of a sweep's decision times, unless a folder has them."""
 

@@ -66,6 +66,25 @@ class ComparisonOptions(TaskOptions, total=False):
     """Factor of the decision times, in real time."""
 
 
+class WorstCaseOptions(TypedDict, total=False):
+    """Options of a search for worst cases; those without a text are of `StudyOptions` and `TaskOptions`."""
+
+    budget: int
+    """Number of episodes of each policy's search, 300 by default."""
+    episodes: int
+    """Number of episodes that judge each point, 200 by default."""
+    judge_seed: int | Literal["test"]
+    """Seed of these episodes; by default, the first after those of the search."""
+    env_options: Mapping[str, Any] | None
+    overwrite: bool
+    worlds: int
+    workers: int | Engine
+    isolate: bool
+    timeout: float | None
+    filter: bool
+    policy_seed: int | None
+
+
 def checked_options(options: Mapping[str, Any], kind: type) -> None:
     """Raise `ConfigurationError` for an option that a kind of study does not have."""
     allowed = kind.__annotations__

@@ -12,15 +12,15 @@ from armctl.core.files import write_atomically
 from armctl.episodes.output import DECISIONS, EPISODES, EPISODES_PARQUET, write_csv
 from armctl.episodes.stored import STORE, UNDISTURBED
 from armctl.study.comparison import Comparison
-from armctl.study.names import COMPARISON, SUITE
+from armctl.study.names import COMPARISON, SUITE, SWEEP
 from armctl.study.study import Study
 from armctl.study.task_results import COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SUMMARY, POINTS, PAIRS = "summary.json", "sweep.csv", "pairs.csv"
-NAMES = (SUMMARY, POINTS, PAIRS, EPISODES, DECISIONS, EPISODES_PARQUET)
+SUMMARY, POINTS, PAIRS, WORST_CASES = "summary.json", "sweep.csv", "pairs.csv", "worst_case.csv"
+NAMES = (SUMMARY, POINTS, PAIRS, WORST_CASES, EPISODES, DECISIONS, EPISODES_PARQUET)
 """All that may be written from a store."""
 
 
@@ -33,10 +33,10 @@ def write_output(folder: Path, study: Study) -> None:
     with os_errors_as(f"tables could not be written to {folder}"):
         write_csv(folder, results[UNDISTURBED] if is_comparison else results)
         write_atomically(folder / SUMMARY, json.dumps(about, indent=2) + "\n")
-        if not is_comparison:
+        if study.kind in (SWEEP, SUITE):
             write_atomically(folder / POINTS, _points(study).to_csv(index=False))
         if records := [record for swept in study.tasks.values() for part in swept.maps for record in part.records]:
-            write_atomically(folder / PAIRS, _csv(records))
+            write_atomically(folder / PAIRS, csv_of(records))
 
 
 def check_output(folder: Path) -> None:
@@ -63,7 +63,7 @@ def _points(study: Study) -> "pd.DataFrame":
     return pd.concat(tables) if len(tables) > 1 else tables[0]
 
 
-def _csv(records: Sequence[Mapping[str, Any]]) -> str:
+def csv_of(records: Sequence[Mapping[str, Any]]) -> str:
     """Return records with the same keys as CSV."""
     import pandas as pd
 

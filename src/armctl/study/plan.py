@@ -37,6 +37,7 @@ from armctl.study.options import (
     checked_options,
     environment_options,
 )
+from armctl.study.search_box import Axis
 
 ALL = "all"
 """Name for all environments of all installed packages."""
@@ -104,6 +105,8 @@ class TaskPlan:
     """Source of the decision times of the slow-down levels; empty without such levels."""
     grids: Sequence[Grid] = ()
     """Pairs of disturbances."""
+    axes: Sequence[Axis] = ()
+    """Box of disturbances in which worst cases are searched."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,7 @@ class Plan:
 def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options: ComparisonOptions) -> Plan:
     """Plan one cell. Raise `ConfigurationError`, and `ResultsError` for a damaged recording of decision times."""
     checked_options(options, ComparisonOptions)
-    cell, shared = _undisturbed(policies, env, options), extent(episodes, evaluation_seed(seed), options)
+    cell, shared = undisturbed_cell(policies, env, options), extent(episodes, evaluation_seed(seed), options)
     baseline, margin = options.get("baseline"), options.get("margin", MARGIN)
     if baseline is not None and baseline not in (compared := learners(list(cell.players), cell.groups)):
         raise unknown_name("baseline among the compared policies", baseline, compared)
@@ -200,7 +203,7 @@ def sweep_plan(
     """
     checked_options(options, TaskOptions)
     shared = extent(episodes, evaluation_seed(seed), options)
-    cell = _undisturbed(policies, env, options)
+    cell = undisturbed_cell(policies, env, options)
     _check_decidable(cell, shared)
     task = _task_plan(
         cell, {} if pairs and disturbances is None else disturbances, options.get("real_time"), "", shared
@@ -225,7 +228,7 @@ def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: See
     for name, env in by_name.items():
         try:
             filtered: TaskOptions = {"filter": options.get("filter", False)}
-            undisturbed = _undisturbed(line_up(env, size.one_of_each_kind), env, filtered)
+            undisturbed = undisturbed_cell(line_up(env, size.one_of_each_kind), env, filtered)
             tasks.append(_task_plan(undisturbed, main_disturbances(env, size), None, f"{name}/", shared))
             unusable = unusable_agents(env)
         except ArmctlError as error:
@@ -258,7 +261,8 @@ def _check_decidable(cell: Cell, shared: Mapping[str, Any]) -> None:
         raise ConfigurationError(f"{', '.join(cell.groups)}: {NOT_FOR_TRAININGS}: leave out --until {DECIDED}")
 
 
-def _undisturbed(policies: Any, env: str, options: TaskOptions) -> Cell:
+def undisturbed_cell(policies: Any, env: str, options: TaskOptions) -> Cell:
+    """Return the cell of an environment without disturbances of a study. Raise `ConfigurationError`."""
     env = full_id(env)
     remember_named(env)
     by_name = named_policies(default_policies(env) if policies is None else policies)

@@ -12,7 +12,7 @@ from armctl.core.options import option_value
 from armctl.envs import ERROR
 from armctl.episodes.stored import STORE, UNDISTURBED, StoredCell, StoredStudy, read_store
 from armctl.study.comparison import Comparison, concluded
-from armctl.study.names import SUITE, cell_name
+from armctl.study.names import COMPARISON, SUITE, SWEEP, WORST_CASE, cell_name
 from armctl.study.study import Study
 from armctl.study.task_results import Sweep
 from armctl.verdict.facts import Facts
@@ -28,11 +28,11 @@ _FACTS, _STUDY, _TASKS = TypeAdapter(Facts), TypeAdapter(Study), TypeAdapter(dic
 def read_comparison(folder: Path) -> Comparison:
     """Read the folder of a finished or interrupted comparison, or the undisturbed one of a sweep.
 
-    Raises `ResultsError` if its store is missing or damaged, or holds a suite.
+    Raises `ResultsError` if its store is missing or damaged, or holds another study.
     """
     study = read_study(folder)
-    if study.kind == SUITE:
-        raise ResultsError(f"{folder} holds a suite, not a comparison")
+    if study.kind not in (COMPARISON, SWEEP):
+        raise ResultsError(f"{folder} holds a {study.kind}, not a comparison")
     (swept,) = study.tasks.values()
     return swept.comparisons[UNDISTURBED]
 
@@ -68,11 +68,13 @@ def _study(stored: StoredStudy) -> Study:
     levels += [at for grid in grids for at in (grid.row_levels, grid.column_levels, (grid.rows, grid.columns))]
     if any(len(set(values)) < len(values) for values in (study.envs, *levels)):
         raise ValueError("it names a task or a level twice")
+    if not all(axis.is_possible for swept in study.tasks.values() for axis in swept.axes):
+        raise ValueError("it has a range of disturbances without levels")
     planned, study.tasks = study.tasks, {}
     for env in study.envs:
         if env in planned:
             _read_cells(planned[env], study.kind, stored)
-        if env in planned and planned[env].undisturbed is not None:
+        if env in planned and (planned[env].comparisons if study.kind == WORST_CASE else planned[env].undisturbed):
             study.tasks[env] = planned[env]
         else:
             study.failures.setdefault(env, UNFINISHED)
@@ -81,7 +83,7 @@ def _study(stored: StoredStudy) -> Study:
 
 def _read_cells(swept: Sweep, kind: str, stored: StoredStudy) -> None:
     paired = (grid.setting(*levels) for grid in swept.grids for levels in grid.cells)
-    for setting in (UNDISTURBED, *swept.settings, *paired):
+    for setting in stored.cells if kind == WORST_CASE else (UNDISTURBED, *swept.settings, *paired):
         cell = stored.cells.get(cell_name(kind, swept.env, setting))
         if cell is not None and cell.facts is not None:
             swept.comparisons[setting] = comparison = _comparison(cell)

@@ -11,8 +11,9 @@ from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
 from armctl.stats.across_tasks import League, leagues, rank
 from armctl.study.comparison import Comparison
-from armctl.study.names import COMPARISON, SUITE, SWEEP, cell_name
+from armctl.study.names import COMPARISON, SUITE, SWEEP, WORST_CASE, cell_name
 from armctl.study.suite_headline import suite_headline
+from armctl.study.suite_map import lead_table
 from armctl.study.suite_tables import rank_table, task_table
 from armctl.study.task_results import Sweep
 from armctl.study.task_verdict import TaskVerdict, holm_corrected, task_verdict
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 class Study(Displayed):
     """The result of a study. After an interrupt or a failure, it covers the finished episodes."""
 
-    kind: Annotated[str, Field(pattern=f"^({COMPARISON}|{SWEEP}|{SUITE})$")]
+    kind: Annotated[str, Field(pattern=f"^({COMPARISON}|{SWEEP}|{SUITE}|{WORST_CASE})$")]
     seed: int
     episodes: int
     """Number of episodes of each policy in each cell, as requested."""
@@ -46,7 +47,9 @@ class Study(Displayed):
     def of(cls, plan: "Plan") -> "Study":
         """Return a study without any episode."""
         tasks = {
-            task.env: Sweep(task.env, plan.seed, task.levels, task.units, task.recorded, {}, {}, False, task.grids)
+            task.env: Sweep(
+                task.env, plan.seed, task.levels, task.units, task.recorded, {}, {}, False, task.grids, task.axes
+            )
             for task in plan.tasks
         }
         return cls(plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick, tasks, dict(plan.failures), False)
@@ -66,7 +69,7 @@ class Study(Displayed):
         if self.kind == SUITE:
             return self
         (swept,) = self.tasks.values()
-        return swept if self.kind == SWEEP else swept.comparisons[UNDISTURBED]
+        return swept.comparisons[UNDISTURBED] if self.kind == COMPARISON else swept
 
     @property
     def stops_early(self) -> bool:
@@ -109,7 +112,9 @@ class Study(Displayed):
         parts: list[Table | Remark] = []
         if self.verdicts:
             parts += [Remark(f"{part}.", "verdict") for part in suite_headline(self.verdicts) if part]
+            levels = {env: swept.levels for env, swept in self.tasks.items()}
             parts.append(task_table(self.verdicts, self.episodes, self.seed, self.quick))
+            parts.append(lead_table(self.verdicts, levels))
             for verdict in self.verdicts:
                 parts.append(Remark(f"{verdict.task}: {verdict.verdict}.", "verdict"))
                 parts += [Remark(verdict.context)] if verdict.context else []
@@ -123,7 +128,8 @@ class Study(Displayed):
         """Return the JSON values that are stored besides the cells."""
         names = ("levels", "units", "recorded", "failures", "interrupted")
         tasks = {
-            env: {name: getattr(swept, name) for name in names} | {"grids": [asdict(grid) for grid in swept.grids]}
+            env: {name: getattr(swept, name) for name in names}
+            | {name: [asdict(part) for part in getattr(swept, name)] for name in ("grids", "axes")}
             for env, swept in self.tasks.items()
         }
         about = {name: getattr(self, name) for name in ("kind", "seed", "episodes", "envs", "quick", "failures")}

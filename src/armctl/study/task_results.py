@@ -19,6 +19,7 @@ from armctl.study.comparison import Comparison
 from armctl.study.grid_tables import GridMap, grid_maps, grid_parts
 from armctl.study.grids import Grid
 from armctl.study.names import setting_name
+from armctl.study.search_box import Axis
 from armctl.verdict.facts import Finite
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.summary import PolicySummary, counted_rows
@@ -65,6 +66,8 @@ class Sweep(Displayed):
     interrupted: bool
     grids: Sequence[Grid] = ()
     """Pairs of disturbances."""
+    axes: Sequence[Axis] = ()
+    """Box of disturbances in which worst cases are searched; its comparisons are one for each policy."""
 
     def document(self) -> Document:
         """Return a table for each disturbance, and the level from which each policy gets worse; then those of pairs."""
