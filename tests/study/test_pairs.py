@@ -67,6 +67,7 @@ def test_asked_again_nothing_is_played(finished):
     assert (folder / "episodes.csv").read_text() == before
 
 
+@pytest.mark.slow
 def test_leaders_are_those_of_the_cells_tests():
     result = sweep(POLICIES, pairs=PAIRS, episodes=12, worlds=12, seed=3)
     (grid_map,) = result.maps
@@ -76,6 +77,7 @@ def test_leaders_are_those_of_the_cells_tests():
     assert "reach_ik leads in" in " ".join(part.text for part in result.document().parts if hasattr(part, "text"))
 
 
+@pytest.mark.slow
 def test_default_pairs_have_three_levels_each():
     plan = sweep_plan(POLICIES, REACH, None, 1, 0, {}, "default")
     (task,) = plan.tasks

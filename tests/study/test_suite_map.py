@@ -52,7 +52,11 @@ def test_a_hybrid_leads_if_it_is_ahead_of_both_and_certainly_only_if_it_is_bette
     assert (lead.text, lead.policies["hybrid"]) == ("H +19", "mix")
     one = replace(both, hybrid_pairs=against("classical", 4, 2) | against("learned", 60, 2))
     assert kind_lead(one, UNDISTURBED).text == "H +1 ?"
-    behind = replace(both, hybrid_pairs=against("classical", 2, 40) | against("learned", 60, 2))
+    behind = replace(
+        verdict(none=pair(40, 2)),
+        hybrid=Choice("mix"),
+        hybrid_pairs=against("classical", 2, 40) | against("learned", 60, 2),
+    )
     assert kind_lead(behind, UNDISTURBED).kind == "classical"
 
 
