@@ -64,10 +64,12 @@ def test_adding_up_changes_neither_weight_nor_inertia(urdf):
     assert "added up: 'l2', 'extra'" in "".join(arm.notes)
     repaired, original = ArmModel(arm).pinocchio, pinocchio.buildModelFromXML(path.read_text())
     for q in ArmModel(arm).random_configurations(np.random.default_rng(0), 10):
-        masses = [np.triu(pinocchio.crba(model, model.createData(), q)) for model in (repaired, original)]
-        np.testing.assert_allclose(*masses, atol=1e-12)
-        weights = (pinocchio.computeGeneralizedGravity(model, model.createData(), q) for model in (repaired, original))
-        np.testing.assert_allclose(*weights, atol=1e-12)
+        ours, theirs = (np.triu(pinocchio.crba(model, model.createData(), q)) for model in (repaired, original))
+        np.testing.assert_allclose(ours, theirs, atol=1e-12)
+        ours, theirs = (
+            pinocchio.computeGeneralizedGravity(model, model.createData(), q) for model in (repaired, original)
+        )
+        np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
 def test_velocities_and_efforts_of_options_lower_a_files_and_stand_in_for_missing_ones(urdf):
