@@ -9,7 +9,7 @@ from rich.progress import track
 
 import armctl
 from armctl.agents import load_agent, read_card
-from armctl.baselines.hybrids.lookahead import lookahead
+from armctl.baselines.hybrids.lookahead import LookaheadOptions, lookahead
 from armctl.baselines.hybrids.shooting import ShootingPolicy
 from armctl.core.seeds import TEST_SEED
 from armctl.policies import Policy, sees
@@ -35,7 +35,7 @@ def _shooting(card: Path) -> Callable[[Any], Policy]:
 
 
 def _lookahead(card: Path) -> Callable[[Any], Policy]:
-    return sees("state")(lambda env: lookahead(card, env))
+    return sees("state")(lambda env: lookahead(card, env, LookaheadOptions(prepared=False)))
 
 
 def _row(network: str, path: Path, imagined: Callable[[Any], Policy], episodes: int) -> tuple[str, ...]:

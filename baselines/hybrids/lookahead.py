@@ -5,12 +5,14 @@ physics (`armctl.tasks.bridge.planar`), and in which people walk straight on, an
 touches something there, other commands are tried in as many copies; each is held for a while before the agent drives on
 by itself. The one that goes well for longest is executed, and of those the one that gets farthest. This is a rollout
 with a learned base policy (Bertsekas, "Rollout algorithms for discrete optimization: a survey", 2013), which steps in
-only before a contact.
+only before a contact. It acts on estimates (`armctl.baselines.hybrids.prepared_states`).
 """
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -19,9 +21,10 @@ from pydantic import Field
 
 from armctl.agents import OnnxPolicy
 from armctl.agents.costs import TuningCost, total_tuning
+from armctl.baselines.hybrids.prepared_states import PreparedStates
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import Count, options
+from armctl.core.options import Count, changed_options, options
 from armctl.envs import Sees, TaskVectorEnv
 from armctl.kernels import planar
 from armctl.policies import made_for, make_policy, sees
@@ -35,15 +38,16 @@ from armctl.tasks.bridge.planar import Geometry, block_rows
 
 Velocities = Annotated[tuple[float, ...], Field(min_length=1)]
 
-TUNING = TuningCost(trials=3)
+TUNING = TuningCost(trials=7)
 """Trials of the options, as `rl/trials.csv` has them."""
 
 
 @made_for("armctl/BridgeCrossMoving-v0", controls="rover")
 @sees("state", family="imagination", kind="hybrid")
-def make(env: TaskVectorEnv) -> "LookaheadPolicy":
+def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> "LookaheadPolicy":
     """`bridge_moving_state_ppo`, which looks ahead: where it would touch something, it tries other commands first."""
-    policy = lookahead("bridge_moving_state_ppo", env)
+    choice = changed_options(LookaheadOptions(), options, "option of bridge_moving_imagined")
+    policy = lookahead("bridge_moving_state_ppo", env, choice)
     cost = policy.training_cost
     policy.training_cost = replace(cost, tuning=total_tuning([cost.tuning, TUNING]))
     return policy
@@ -75,6 +79,8 @@ class LookaheadOptions:
     """Linear velocities to try, m/s."""
     angular: Velocities = (-2.0, -1.0, 0.0, 1.0, 2.0)
     """Angular velocities to try, rad/s."""
+    prepared: bool = True
+    """Estimate the rover, its drives and delay, blocks and people. False: believe every reading."""
 
 
 class LookaheadPolicy:
@@ -90,16 +96,22 @@ class LookaheadPolicy:
             raise ConfigurationError("only agents without a memory that see a bridge's state look ahead there")
         self.options = options or LookaheadOptions()
         self.card, self.training_steps, self.training_cost = agent.card, agent.training_steps, agent.training_cost
-        self.reset = agent.reset
         self._agent, self._env = agent, env
         self._geometry = Geometry.of(env.task.options, env.task.simulation.model)
         self._alternatives = np.array(list(itertools.product(self.options.linear, self.options.angular)))
+        self._prepared = PreparedStates(env, self._geometry.turn) if self.options.prepared else None
         self.failures = np.zeros(env.num_envs, dtype=np.int64)
         """Count (n,) of control steps in which every alternative ended in a contact."""
 
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Begin new episodes in worlds `ids`."""
+        self._agent.reset(ids)
+        if self._prepared:
+            self._prepared.reset(ids)
+
     def act(self, observations: Any) -> Array:
         """Return linear and angular velocities (n, 2), m/s and rad/s."""
-        states = self._env.perceived().state_observation()
+        states = self._prepared.observe() if self._prepared else self._env.perceived().state_observation()
         commands = np.asarray(self._agent.act(states), float)
         nominal = self._drive(states, commands, held=1)
         risky = np.flatnonzero(nominal.free_at_start & (nominal.survival_steps < self.options.steps))
@@ -114,7 +126,7 @@ class LookaheadPolicy:
             better = longest > nominal.survival_steps[risky]
             commands[risky[better]] = self._alternatives[best[better]]
             self.failures[risky] += np.maximum(longest, nominal.survival_steps[risky]) < self.options.steps
-        return commands
+        return self._prepared.command(commands) if self._prepared else commands
 
     def _drive(self, states: NDArray[np.float32], commands: Array, held: int) -> "ImaginedRovers":
         """Return rovers that have held commands (n, 2) first, and then driven on as the agent does."""

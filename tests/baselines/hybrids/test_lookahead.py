@@ -40,7 +40,7 @@ def worlds():
 def look(worlds, agent=None, **options):
     @sees("state")
     def factory(env):
-        return LookaheadPolicy(agent or Straight(), env, LookaheadOptions(**options))
+        return LookaheadPolicy(agent or Straight(), env, LookaheadOptions(prepared=False, **options))
 
     return make_policy(factory, worlds)
 
