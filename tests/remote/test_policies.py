@@ -109,6 +109,17 @@ def test_a_served_policy_plays_the_same_episodes(server, policy, worlds, workers
     assert workers > 1 or served.transport_ms > 0
 
 
+def test_a_served_hybrid_is_one_here(server, tmp_path):
+    (tmp_path / "both.py").write_text(
+        "import armctl\n\n@armctl.sees('observation', kind='hybrid')\ndef act(observation):\n"
+        "    return observation[3:9]\n"
+    )
+    name = f"{tmp_path / 'both.py'}:act"
+    url = server(lambda tell: serve_policy(name, "armctl/ArmReach-v0", {}, "127.0.0.1", 0, tell))
+    (policy,) = compare([url], episodes=1, env_options=SHORT).policies
+    assert policy.side == "hybrid"
+
+
 def test_a_server_of_openpi_sends_chunks(fake):
     asked = []
 

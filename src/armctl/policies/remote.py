@@ -75,6 +75,7 @@ class RemotePolicy:
         self.training_steps = int(metadata.get("training_steps", 0))
         if "family" in metadata:
             self.family = str(metadata["family"])
+        self.kind = metadata.get("kind")
         self.own_code = Code(str(metadata.get("identity", sorted(map(str, metadata.items())))))
         """What determines its episodes, as far as the server says."""
         self.failures: NDArray[np.int64] = np.zeros(env.num_envs, dtype=np.int64)

@@ -11,6 +11,7 @@ import numpy as np
 
 from armctl import __version__
 from armctl.core.errors import ConfigurationError, described
+from armctl.core.kinds import declared_kind
 from armctl.envs import SEES, CurrentEpisode, Interface, PolicyStreams, interface_of, task_of
 from armctl.policies import ControllersFailed, Policy, WorldsByInterface, make_policy
 from armctl.policies.declare import declared, declared_foresight
@@ -37,7 +38,7 @@ def serve_policy(
     metadata = {
         "armctl": VERSION, "version": __version__, "policy": policy, "env": interface.env_id, "sees": served.sees,
         "interface": interface_options, "identity": _identity(policy), "training_steps": served.training_steps,
-        "family": getattr(served, "family", policy),
+        "family": getattr(served, "family", policy), "kind": declared_kind(served),
     }  # fmt: skip
     serve(lambda: ServedPolicy(policy, interface, metadata), host, port, on_ready)
 
