@@ -43,7 +43,7 @@ FORMATS = [("--format", name) for name in ("table", "json", "csv", "latex", "mar
 POLICY_SEEDS = [("--policy-seed", text) for text in ("0", "7", str(2**127))]
 SEEDS = [("--seed", "0"), ("--seed", "7"), ("--seed", str(10**8 - 1))]
 WORLDS, WORKERS = [("--worlds", "1"), ("--worlds", "3")], [("--workers", "1"), ("--on", "local")]
-ISOLATED, EARLY = [("--isolate",)], [("--until", "decided", "--at-most", "3")]
+ISOLATED, EARLY = [("--isolate",), ("--isolate", "--timeout", "60")], [("--until", "decided", "--at-most", "3")]
 FILTERED = [("--filter",)]
 OUT = [("--out", "new"), ("--out", "new/deeper"), ("--out", "results", "--overwrite")]
 ROBOTS = [("--robot", "ur5"), ("--robot", "ur10")]
@@ -132,8 +132,8 @@ REFUSED = {"push", "pull", "export", "train"}
 """Verbs whose lines are refused at last, before they ask the network or train."""
 SLOW = {"suite", "train", "tune", "worst-case"}
 """Verbs of which a line takes seconds: fewer are changed."""
-SERVES = {"view"}
-"""A verb that a changed line may let serve for ever: `../fuzz/test_command_lines.py` has lines of it that end."""
+SERVES = {"serve", "view"}
+"""Verbs that a changed line may let serve for ever: `../fuzz/test_command_lines.py` has lines of it that end."""
 ELSEWHERE = {"--video", "--watch", "--rerun", "--unblind"}
 """Options that render, or open a window; and one that needs a log."""
 
