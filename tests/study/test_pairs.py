@@ -6,7 +6,8 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.report import write_report
 from armctl.study import compare, sweep
-from armctl.study.grids import Grid, checked_grids
+from armctl.study.grid import Grid
+from armctl.study.grids import checked_grids
 from armctl.study.levels import disturbance_specs
 from armctl.study.plan import sweep_plan
 from armctl.study.results import read_study

@@ -17,10 +17,11 @@ from armctl.envs import make_worlds
 from armctl.report import write_report
 from armctl.report.worst_case_page import headline
 from armctl.study import worst_case
+from armctl.study.axis import Axis
 from armctl.study.levels import disturbance_specs
 from armctl.study.mildest_failure import read_worst_cases
 from armctl.study.results import read_comparison, read_study
-from armctl.study.search_box import Axis, levels_at, levels_between, point_at, points_of, search_axes
+from armctl.study.search_box import levels_at, levels_between, point_at, points_of, search_axes
 
 from ..report.pages import text_of
 

@@ -19,7 +19,6 @@ from armctl.report.pair_maps import pair_maps
 from armctl.report.plots import comparison_plots, mean, percent, renamed, spread, sweep_plots
 from armctl.report.render import write_page
 from armctl.report.suite_page import write_suite_page
-from armctl.report.worst_case_page import write_worst_case_page
 from armctl.runtime.provenance import with_looks
 from armctl.stats.robustness import robustness_headline, robustness_rankings
 from armctl.study.comparison import Comparison
@@ -61,6 +60,8 @@ def write_report(
         raise no_results(folder)
     out, study = folder / REPORT if out is None else Path(out), read_study(folder)
     if study.kind == WORST_CASE:
+        from armctl.report.worst_case_page import write_worst_case_page  # it loads what searches
+
         write_worst_case_page(folder, out, video, progress)
         return out
     reports: dict[str, str] = {}

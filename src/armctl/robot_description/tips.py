@@ -14,7 +14,7 @@ USUAL_NAMES = tuple(
         "ee_gripper_link|gripper_frame_link|grasp_link|pinch_site",
     )
 )
-"""In order of preference."""
+"""Names of end-effectors, in order of preference."""
 
 
 def usual_tips(links: Iterable[str]) -> list[str]:

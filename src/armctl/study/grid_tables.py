@@ -11,7 +11,7 @@ from armctl.core.arrays import Array
 from armctl.runtime.provenance import with_looks
 from armctl.stats.leaders import Leader
 from armctl.stats.robustness import FALSE_DISCOVERY_RATE
-from armctl.study.grids import Grid
+from armctl.study.grid import Grid
 from armctl.verdict.summary_tables import SPARED
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Remark, Table
 

@@ -1,15 +1,12 @@
 """Two disturbances at once: the grids of a sweep."""
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import DisturbanceSpec
-from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
+from armctl.episodes.stored import SLOW_DOWN_NAME
+from armctl.study.grid import Grid
 from armctl.study.levels import Disturbances, checked_levels
-from armctl.study.names import setting_name
-from armctl.verdict.facts import Finite
 
 Pairs = Sequence[Disturbances] | str
 """Pairs of disturbances, each as names or as levels by name; `default` means `DEFAULT_PAIRS`."""
@@ -18,38 +15,6 @@ DEFAULT_PAIRS = (("delay", "noise"), ("payload", "friction"), ("mismatch", "nois
 """Pairs that a task plays if it has both; noise is that of the state too where there is such a one."""
 NUM_LEVELS = 3
 """Levels of each disturbance, by default, besides the one that changes nothing."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Two disturbances, each at several levels, the first of which changes nothing."""
-
-    rows: str
-    columns: str
-    row_levels: Sequence[Finite]
-    column_levels: Sequence[Finite]
-
-    @property
-    def name(self) -> str:
-        """Name in tables and figures."""
-        return f"{self.rows} x {self.columns}"
-
-    @property
-    def cells(self) -> Iterator[tuple[float, float]]:
-        """Levels of all cells with both disturbances."""
-        return itertools.product(self.row_levels[1:], self.column_levels[1:])
-
-    def setting(self, row: float, column: float) -> str:
-        """Return the name of a cell: of one disturbance alone, it is that of a sweep of this one."""
-        disturbed = [
-            setting_name(name, level)
-            for name, level, neutral in (
-                (self.rows, row, self.row_levels[0]),
-                (self.columns, column, self.column_levels[0]),
-            )
-            if level != neutral
-        ]
-        return "+".join(disturbed) or UNDISTURBED
 
 
 def checked_grids(specs: Mapping[str, DisturbanceSpec], pairs: Pairs) -> list[Grid]:

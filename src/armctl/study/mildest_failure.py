@@ -16,6 +16,7 @@ from armctl.core.files import write_atomically
 from armctl.core.seeds import TEST_SEED, Seed, evaluation_seed
 from armctl.episodes.record import EpisodeResult
 from armctl.stats.failure_surface import ROUND_WIDTHS, FailureSurface, fitted_surface, round_box, round_sizes
+from armctl.study.axis import Axis
 from armctl.study.comparison import Comparison
 from armctl.study.contenders import success_table
 from armctl.study.levels import Disturbances, disturbance_specs
@@ -25,7 +26,7 @@ from armctl.study.output import WORST_CASES, csv_of
 from armctl.study.plan import Cell, Plan, TaskPlan, extent, undisturbed_cell
 from armctl.study.results import read_study
 from armctl.study.run import play
-from armctl.study.search_box import Axis, levels_at, levels_between, point_at, points_of, search_axes
+from armctl.study.search_box import levels_at, levels_between, point_at, points_of, search_axes
 from armctl.study.study import Study
 from armctl.study.worst_case_results import Case, WorstCases
 

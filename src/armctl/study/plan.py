@@ -26,7 +26,9 @@ from armctl.rollout.real_time import (
 from armctl.runtime.engines import Engine, engine_of
 from armctl.stats.difference import MARGIN
 from armctl.stats.sequential import block_ends
-from armctl.study.grids import Grid, Pairs, checked_grids
+from armctl.study.axis import Axis
+from armctl.study.grid import Grid
+from armctl.study.grids import Pairs, checked_grids
 from armctl.study.levels import Disturbances, checked_levels, disturbance_specs
 from armctl.study.line_up import FULL, QUICK, default_policies, line_up, main_disturbances, unusable_agents
 from armctl.study.names import COMPARISON, FROM_UNDISTURBED, SUITE, SWEEP, setting_name, task_name
@@ -37,7 +39,6 @@ from armctl.study.options import (
     checked_options,
     environment_options,
 )
-from armctl.study.search_box import Axis
 
 ALL = "all"
 """Name for all environments of all installed packages."""

@@ -1,8 +1,6 @@
 """The box of disturbances in which a worst case is searched, and the levels of its points and episodes."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,57 +9,12 @@ from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import DisturbanceSpec, LevelRange, episode_rng
 from armctl.episodes.stored import SLOW_DOWN_NAME
+from armctl.study.axis import Axis
 from armctl.study.grids import DEFAULT_PAIRS
 from armctl.study.levels import Disturbances, checked_levels
-from armctl.verdict.facts import Finite
 
-DIGITS = 3
-"""Significant digits of levels, so that what is printed is what was played."""
-MAX_WHOLE_LEVELS = 1_000
-"""Limit of the levels of a disturbance by whole numbers, each of which a search considers."""
 MAX_DISTURBANCES = 6
 """Largest number of disturbances of a search: with more, its budget is too small for the interactions of each two."""
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A disturbance of the box: shares of its range from 0, without effect, to 1, its end."""
-
-    name: str
-    neutral: Finite
-    end: Finite
-    whole: bool
-    """True if levels are whole numbers."""
-    unit: str
-
-    @property
-    def is_possible(self) -> bool:
-        """True if its range has a length, and whole levels can be counted."""
-        length = abs(self.end - self.neutral)
-        return length > 0 and (not self.whole or length in range(MAX_WHOLE_LEVELS))
-
-    def level(self, share: float) -> float:
-        """Return the level at a share of the range."""
-        level = self.neutral + share * (self.end - self.neutral)
-        return float(round(level)) if self.whole else float(f"{level:.{DIGITS}g}")
-
-    def share(self, level: float) -> float:
-        """Return the share of the range at a level."""
-        return (level - self.neutral) / (self.end - self.neutral)
-
-    @property
-    def whole_shares(self) -> Array:
-        """Shares at whole levels."""
-        steps = round(abs(self.end - self.neutral))
-        return np.arange(steps + 1) / steps
-
-    def range(self, low: float, high: float) -> LevelRange:
-        """Return the levels between two shares; a whole one contains them."""
-        first, last = sorted((self.level(low), self.level(high)))
-        if self.whole:
-            ends = sorted(self.neutral + share * (self.end - self.neutral) for share in (low, high))
-            first, last = float(math.floor(ends[0] + 1e-9)), float(math.ceil(ends[1] - 1e-9))
-        return LevelRange(first, last, self.whole)
 
 
 def search_axes(specs: Mapping[str, DisturbanceSpec], disturbances: Disturbances) -> list[Axis]:
@@ -95,8 +48,8 @@ def default_disturbances(specs: Mapping[str, DisturbanceSpec]) -> list[str]:
 
 def levels_between(axes: Sequence[Axis], low: Array, high: Array) -> dict[str, tuple[float, float]]:
     """Return the lowest and highest level of each disturbance between two points, as environments take them."""
-    ranges = {axis.name: axis.range(*ends) for axis, ends in zip(axes, np.stack([low, high], axis=1), strict=True)}
-    return {name: (levels.low, levels.high) for name, levels in ranges.items()}
+    ends = np.stack([low, high], axis=1)
+    return {axis.name: axis.levels_between(*between) for axis, between in zip(axes, ends, strict=True)}
 
 
 def levels_at(axes: Sequence[Axis], point: Array) -> dict[str, float]:

@@ -15,11 +15,11 @@ from armctl.stats.difference import Difference
 from armctl.stats.intervals import Estimate
 from armctl.stats.leaders import leaders
 from armctl.stats.robustness import NEUTRAL, PairKey, change_between
+from armctl.study.axis import Axis
 from armctl.study.comparison import Comparison
+from armctl.study.grid import Grid
 from armctl.study.grid_tables import GridMap, grid_maps, grid_parts
-from armctl.study.grids import Grid
 from armctl.study.names import setting_name
-from armctl.study.search_box import Axis
 from armctl.verdict.facts import Finite
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.summary import PolicySummary, counted_rows

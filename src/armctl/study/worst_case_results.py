@@ -11,8 +11,8 @@ import numpy as np
 from armctl.core.registration import bare_id
 from armctl.episodes.record import EpisodeResult
 from armctl.stats.failure_surface import ROUND_WIDTHS
+from armctl.study.axis import Axis
 from armctl.study.comparison import Comparison
-from armctl.study.search_box import Axis
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import Cell, Column, Document, Remark, Table, percent
