@@ -122,7 +122,7 @@ def test_an_environment_that_cannot_be_copied_says_so():
 
 
 def test_mppi_is_better_than_random(sized):
-    n = sized(1, 20)
+    n = sized(1, 6)
     for env, steps in (("Reacher-v5", 25), ("Pusher-v5", 20), ("InvertedPendulum-v5", 40)):
         options = {"max_episode_steps": steps if n == 1 else 2 * steps}
         comparison = armctl.compare(["mppi", "random"], env, episodes=n, env_options=options)
