@@ -10,6 +10,7 @@ import psutil
 import pytest
 
 from armctl.core.errors import ConfigurationError
+from armctl.remote.connection import host_of
 from armctl.remote.host import serve
 from armctl.runtime.policy_server import serve_policy
 from armctl.study import compare
@@ -221,6 +222,15 @@ def test_code_for_another_python(mine):
         if "armctl.remote.host" in " ".join(child.cmdline())
     ]
     assert not left
+
+
+@pytest.mark.slow
+def test_a_process_that_was_ended_is_replaced(mine):
+    first = host_of(mine("Counts"), "policy")
+    assert host_of(mine("Counts"), "policy") is first
+    first.end()
+    assert not first.is_running
+    assert host_of(mine("Counts"), "policy").is_running
 
 
 @pytest.mark.slow

@@ -81,7 +81,7 @@ class RemotePolicy:
         self.failures: NDArray[np.int64] = np.zeros(env.num_envs, dtype=np.int64)
         self.seconds = 0.0
         """Duration of the last call without the transport of messages, if the server says."""
-        self._transports: list[float] = []
+        self._transports: deque[float] = deque(maxlen=10_000)
         self._in_batches = "armctl" in metadata
         self._names = dict(parse_qsl(name.partition("?")[2]))
         self._chunks: list[deque[Any]] = [deque() for _ in range(env.num_envs)]

@@ -1,7 +1,6 @@
 """Connections to policies and environments in other processes."""
 
 import contextlib
-import functools
 import importlib.util
 import os
 import select
@@ -148,6 +147,11 @@ class Host:
         self._end = weakref.finalize(self, _end, self._process, packages)
         self.url = f"ws://127.0.0.1:{self._port(name, reading)}"
 
+    @property
+    def is_running(self) -> bool:
+        """True unless it has died or was ended."""
+        return self._end.alive and self._process.poll() is None
+
     def end(self) -> None:
         """End the process."""
         self._end()
@@ -166,16 +170,14 @@ class Host:
         raise error
 
 
-@functools.lru_cache(maxsize=1)
-def _hosts() -> "weakref.WeakValueDictionary[tuple[str, str], Host]":
-    return weakref.WeakValueDictionary()
+_hosts: "weakref.WeakValueDictionary[tuple[str, str], Host]" = weakref.WeakValueDictionary()
 
 
 def host_of(name: str, kind: Literal["policy", "environment"]) -> Host:
     """Return the process that runs code for another Python: one for each name, as long as somebody keeps it."""
-    host = _hosts().get((name, kind))
-    if host is None:
-        host = _hosts()[name, kind] = Host(name, kind)
+    host = _hosts.get((name, kind))
+    if host is None or not host.is_running:
+        host = _hosts[name, kind] = Host(name, kind)
     return host
 
 

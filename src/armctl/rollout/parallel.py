@@ -46,8 +46,9 @@ class WorkerConfig:
     """Secret from which policies draw their random numbers (see `armctl.envs.policy_seed`)."""
     workers: int = field(compare=False, default=1)
     isolate: bool = field(compare=False, default=False)
-    timeout: float | None = field(compare=False, default=None)
     """True if each policy plays in a process of its own, besides the worker."""
+    timeout: float | None = field(compare=False, default=None)
+    """Time (s) that a policy in another process may take for an answer; None: the default of its kind."""
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
     interfaces: Callable[..., WorldsByInterface] = field(default=WorldsByInterface, compare=False)

@@ -122,8 +122,9 @@ class Plan:
     num_envs: int = 1
     engine: Engine = field(default_factory=lambda: engine_of(1))
     isolate: bool = False
-    timeout: float | None = None
     """True if each policy plays in a process of its own."""
+    timeout: float | None = None
+    """Time (s) that a policy in another process may take for an answer; None: the default of its kind."""
     baseline: str | None = None
     margin: float = MARGIN
     until_decided: bool = False
