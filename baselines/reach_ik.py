@@ -6,6 +6,7 @@ the offset of the observed tip from the model's, which is the links' error. For 
 control step.
 """
 
+import functools
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -62,9 +63,13 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     search = MinimumTimeReach(ArmModel(env.robot))
     chosen = changed_options(ReachIkOptions(), options, "option of reach_ik")
     moving, prepared = isinstance(task, ReachMovingOptions), chosen.prepared and task.control == "position"
-    make_one = ((ReachIk, ReachIkTracking), (PreparedReachIk, PreparedReachIkTracking))[prepared][moving]
-    radius = chosen.margin * task.tolerance
-    return PerWorld([make_one(search, task.tolerance, radius, task.control) for _ in range(env.num_envs)])
+    setting = search, task.tolerance, chosen.margin * task.tolerance
+    if not prepared:
+        unprepared = ReachIkTracking if moving else ReachIk
+        return PerWorld([unprepared(*setting, task.control) for _ in range(env.num_envs)])
+    expert = PreparedReachIkTracking if moving else PreparedReachIk
+    clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
+    return PerWorld([expert(*setting, ArmObserver(search.model, CONTROL_PERIOD, moving, clock)) for clock in clocks])
 
 
 class ReachIk:
@@ -145,9 +150,9 @@ class ReachIkTracking(ReachIk):
 class PreparedReachIk(ReachIk):
     """Reaches with one arm by estimates instead of readings, and shifts its commands by what a load takes away."""
 
-    def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, control: str) -> None:
-        self._belief = ArmObserver(search.model, CONTROL_PERIOD)
-        super().__init__(search, tolerance, radius, control)
+    def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, belief: ArmObserver) -> None:
+        self._belief = belief
+        super().__init__(search, tolerance, radius, "position")
 
     def reset(self) -> None:
         """Forget the plan and all readings."""
@@ -184,9 +189,9 @@ class PreparedReachIkTracking(ReachIkTracking):
     Drives that stop where the target will be on arrival do not overshoot it.
     """
 
-    def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, control: str) -> None:
-        self._belief = ArmObserver(search.model, CONTROL_PERIOD, moving=True)
-        super().__init__(search, tolerance, radius, control)
+    def __init__(self, search: MinimumTimeReach, tolerance: float, radius: float, belief: ArmObserver) -> None:
+        self._belief = belief
+        super().__init__(search, tolerance, radius, "position")
 
     def reset(self) -> None:
         """Forget the posture and all readings."""

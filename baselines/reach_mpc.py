@@ -6,7 +6,8 @@ end-effector's positions on them. Each control step then plans 0.8 s and command
 it looks up another posture. It sees only the observation, which includes the boxes if there are any.
 """
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -64,20 +65,27 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     task = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])
     configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(task.parts)
     mpc = changed_options(AMONG_BOXES if "boxes" in parts else WITHOUT_BOXES, options, "option of reach_mpc")
-    return PerWorld([ReachWithMpc(configurations, task.tolerance, parts, mpc) for _ in range(env.num_envs)])
+    clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
+    return PerWorld([ReachWithMpc(configurations, task.tolerance, parts, mpc, clock) for clock in clocks])
 
 
 class ReachWithMpc:
     """Reaches with one arm, given an observation of these parts, in order."""
 
     def __init__(
-        self, reachability_map: ReachabilityMap, tolerance: float, parts: list[str], options: ReachMpcExpertOptions
+        self,
+        reachability_map: ReachabilityMap,
+        tolerance: float,
+        parts: list[str],
+        options: ReachMpcExpertOptions,
+        clock: Callable[[], int],
     ) -> None:
         self._model, self._map, self._tolerance = reachability_map.model, reachability_map, tolerance
         self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
         self.mpc = ReachMpc(self._model, options)
         period = self.mpc.problem.period
-        self._belief = ArmObserver(self._model, period, self._moving) if options.prepared else ArmReadings(period)
+        observer = ArmObserver(self._model, period, self._moving, clock)
+        self._belief = observer if options.prepared else ArmReadings(period)
         self._ik, self._tracks = Ik(self._model), self._moving and options.prepared
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
 

@@ -12,8 +12,9 @@ noisy boxes are known.
 With the option `jerk_limited`, it executes the path by the clock instead, as one trajectory within limits of jerk.
 """
 
+import functools
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -94,8 +95,10 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     setting = ArmModel(env.robot), task.tolerance, CONTROL_PERIOD
     if choice.jerk_limited:
         return PerWorld([JerkLimitedReachOmpl(*setting, task.control) for _ in range(env.num_envs)])
-    expert = PreparedReachOmpl if choice.prepared else ReachOmpl
-    return PerWorld([expert(*setting) for _ in range(env.num_envs)])
+    if not choice.prepared:
+        return PerWorld([ReachOmpl(*setting) for _ in range(env.num_envs)])
+    clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
+    return PerWorld([PreparedReachOmpl(*setting, clock) for clock in clocks])
 
 
 class ReachOmpl:
@@ -214,8 +217,9 @@ class PreparedReachOmpl(ReachOmpl):
     and plans again when it knows better, and where it has arrived without reaching the target.
     """
 
-    def __init__(self, model: ArmModel, tolerance: float, period: float) -> None:
-        self._belief, self._nominal, self._nominal_shapes = ArmObserver(model, period), model, ArmShapes(model)
+    def __init__(self, model: ArmModel, tolerance: float, period: float, clock: Callable[[], int]) -> None:
+        self._belief = ArmObserver(model, period, clock=clock)
+        self._nominal, self._nominal_shapes = model, ArmShapes(model)
         super().__init__(model, tolerance, period)
 
     def reset(self) -> None:

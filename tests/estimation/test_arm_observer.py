@@ -112,6 +112,22 @@ def test_it_knows_where_the_joints_will_be_when_a_command_acts(delay):
     assert delay == 0 or np.abs(arm.q - now).max() > 0.05
 
 
+@pytest.mark.parametrize("late", [2, 7])
+def test_the_command_of_a_late_decision_acts_from_the_next_reading_on(late):
+    arm, acting, step = SimulatedArm(), MODEL.home, 0
+    observer = ArmObserver(MODEL, PERIOD, clock=lambda: step)
+    for _ in range(12):
+        observer.read(*arm.readings())
+        np.testing.assert_allclose(observer.commanded, arm.position, atol=1e-9)
+        np.testing.assert_allclose(observer.joints, arm.q, atol=1e-6)
+        goal = MODEL.home + arm.rng.uniform(-0.8, 0.8, 6)
+        observer.send(goal)
+        for _ in range(late):
+            arm.move(acting)
+        acting, step = goal, step + late
+    assert observer.delay == 0
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05])
 def test_at_rest_it_measures_the_noise(noise):
     levels = []

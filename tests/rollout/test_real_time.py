@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.report import write_report
 from armctl.rollout.real_time import RealTime, RealTimePolicy, RecordedTimes, check_real_time
@@ -165,6 +166,23 @@ def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock
     with pytest.raises(ResultsError, match=r"real_time: slow_down 5.0 there, 6.0 here"):
         compare({"wandering": wandering(clock)["wandering"]}, **arguments, real_time="measured", slow_down=6.0,
                 out=tmp_path)  # fmt: skip
+
+
+def test_policies_are_told_how_many_control_steps_have_passed(clock):
+    asked = []
+
+    @armctl.sees("observation")
+    def telling(env):
+        class Telling:
+            def act(self, observation):
+                clock.now += 0.25
+                asked.append(env.control_step())
+                return env.idle_action
+
+        return Telling()
+
+    compare({"telling": telling}, BRIDGE, episodes=2, env_options=SHORT, real_time="measured")
+    assert asked == [0, 1, 4, 7, 0, 3, 6]  # the first decision of all is cold
 
 
 @pytest.fixture(scope="module")

@@ -235,7 +235,7 @@ def test_an_isolated_policy_gets_its_map_foresight_and_random_numbers():
     def policy(env):
         class Telling:
             def act(self, observation):
-                numbers = [env.rng().random(), env.preview("disturbance")["payload"]]
+                numbers = [env.rng().random(), env.control_step(), env.preview("disturbance")["payload"]]
                 target = [] if env.preview("target") is None else env.preview("target").positions([0.1, 0.2])
                 walls = [] if env.map() is None else env.map().centres
                 texts = [float(np.sum(part)) for part in (numbers, target, walls, env.options.tolerance)]

@@ -158,6 +158,13 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Number of each world's current episode under its seed, (n,)."""
         return self._episodes.copy()
 
+    @property
+    def control_steps(self) -> NDArray[np.int64]:
+        """Control steps that each world's current episode has taken, (n,): a view that follows them, not to write."""
+        steps = self._steps.view()
+        steps.flags.writeable = False
+        return steps
+
     def perceived(self) -> Any:
         """Return what policies that see the state read it from: the task, or what disturbances let them know of it.
 

@@ -8,7 +8,7 @@ import copy
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -60,6 +60,7 @@ class Interface:
     foresight: tuple[str, ...] = ()
     """Foresight that the policy declares: keys of `FORESIGHT`."""
     _episodes: Sequence[CurrentEpisode] = ()
+    _steps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
 
     @functools.cached_property
     def observation_space(self) -> gymnasium.Space[Any]:
@@ -79,6 +80,13 @@ class Interface:
         """
         return self._episodes[world].rng
 
+    def control_step(self, world: int = 0) -> int:
+        """Return how many control steps a world's current episode has taken.
+
+        In real time, several pass between two decisions if the first one takes longer than a control period.
+        """
+        return int(self._steps[world])
+
     def preview(self, name: str, world: int = 0) -> Any:
         """Return what a policy with this foresight knows of a world's current episode, by `EpisodeVectorEnv.preview`.
 
@@ -89,7 +97,8 @@ class Interface:
 
     def in_world(self, world: int) -> "Interface":
         """Return the interface of a policy that acts in one of the worlds."""
-        return dataclasses.replace(self, num_envs=1, of_one_world=True, _episodes=(self._episodes[world],))
+        episodes, steps = (self._episodes[world],), self._steps[world : world + 1]
+        return dataclasses.replace(self, num_envs=1, of_one_world=True, _episodes=episodes, _steps=steps)
 
     def limited_to(self, sees: str, foresight: tuple[str, ...], name: str) -> "Interface":
         """Return what this policy may tell another one, called `name`, which declares what it `sees` and foresees.
@@ -186,6 +195,7 @@ def interface_of(
         normalized=worlds.normalized,
         foresight=foresight,
         _episodes=episodes,
+        _steps=worlds.control_steps,
         **more,
     )
 

@@ -11,6 +11,7 @@
   ones of so long ago, so candidates cost a comparison each.
 """
 
+from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
@@ -123,12 +124,21 @@ class ArmObserverOptions:
 
 
 class ArmObserver:
-    """Estimates for one arm: in each control step `read`, then `send` what is commanded."""
+    """Estimates for one arm: in each control step `read`, then `send` what is commanded.
+
+    `clock` returns the control steps of the episode so far, as `Interface.control_step` does; without one, each reading
+    is one control step after the last. A command whose decision took longer acts from the next reading on.
+    """
 
     def __init__(
-        self, model: ArmModel, period: float, moving: bool = False, options: ArmObserverOptions | None = None
+        self,
+        model: ArmModel,
+        period: float,
+        moving: bool = False,
+        clock: Callable[[], int] | None = None,
+        options: ArmObserverOptions | None = None,
     ) -> None:
-        self._model, self._period, self._moving = model, period, moving
+        self._model, self._period, self._moving, self._clock = model, period, moving, clock
         self.options = options = options or ArmObserverOptions()
         dof, eye, memory = model.dof, np.eye, options.noise_memory
         self._joints = KalmanFilter(
@@ -164,6 +174,7 @@ class ArmObserver:
         """Control steps between a command and its effect."""
         self._errors = np.zeros(self.options.max_delay + 1)
         self._position: Array | None = None
+        self._last_step = -1
 
     @property
     def joints(self) -> Array:
@@ -233,8 +244,13 @@ class ArmObserver:
 
     def read(self, tip: Array, q: Array, target: Array, target_velocity: Array | None = None) -> None:
         """Take the readings of a control step: end-effector and target (3,) m, joints (dof,) rad, velocity (3,) m/s."""
+        step = self._last_step + 1 if self._clock is None else self._clock()
+        if self._position is None:
+            self._begin(q)
+        else:
+            self._pass(step - self._last_step)
+        self._last_step = step
         self._read_joints(q)
-        self._targets.predict()
         self._targets.update([target if target_velocity is None else np.concatenate((target, target_velocity))])
         self._read_tip(tip, q)
 
@@ -246,20 +262,35 @@ class ArmObserver:
         deviation = np.sqrt(self._targets.noise_scale[0] + by_joints / self.options.tip_noise**2)
         self._links.update([(tip - model.position(q)) / deviation], model.segments(q).T / deviation)
 
-    def _read_joints(self, q: Array) -> None:
-        if self._position is None:
-            home = self._model.home
-            q = np.where(np.isfinite(q), q, home)
-            at_home = bool((np.abs(q - home) < NEAR_HOME).all())
-            self._position, self._velocity = (home if at_home else q).astype(float), np.zeros(len(q))
-            self._history = np.tile(self._position, (self.options.max_delay + 2, 1))
-            if at_home:
-                self._joints.reset(np.append(home, np.zeros(len(q))), AT_REST**2 * np.eye(2 * len(q)))
-        self._identify_delay(q)
+    def _begin(self, q: Array) -> None:
+        home = self._model.home
+        q = np.where(np.isfinite(q), q, home)
+        at_home = bool((np.abs(q - home) < NEAR_HOME).all())
+        self._position, self._velocity = (home if at_home else q).astype(float), np.zeros(len(q))
+        self._history = np.tile(self._position, (self.options.max_delay + 2, 1))
+        self._sent = self._acting = self._position
+        if at_home:
+            self._joints.reset(np.append(home, np.zeros(len(q))), AT_REST**2 * np.eye(2 * len(q)))
+
+    def _pass(self, steps: int) -> None:
+        """Move on by control steps: of the last command, or of the one before if the last decision was late."""
+        for unread in range(steps - 1, -1, -1):
+            self._drive(self._sent if steps == 1 else self._acting)
+            if unread:
+                self._predict()
+        self._acting = self._sent
+
+    def _predict(self) -> None:
         driven, previous = self._history[self.delay], self._history[self.delay + 1]
-        self._joints.predict([np.append(driven - previous, np.zeros(len(q)))])
-        self._joints.update([q])
+        self._joints.predict([np.append(driven - previous, np.zeros(self._model.dof))])
         self._load.predict()
+        self._targets.predict()
+
+    def _read_joints(self, q: Array) -> None:
+        self._identify_delay(q)
+        self._predict()
+        driven = self._history[self.delay]
+        self._joints.update([q])
         motion = SETTLING * self._joints.mean[0, len(q) :]
         deviation = np.sqrt(1 + (4 * self._joints.covariance[0, 0, 0] + motion**2) / SERVO**2)
         self._load.update([(self.joints - driven) / deviation], np.diag(1 / deviation))
@@ -276,6 +307,10 @@ class ArmObserver:
 
     def send(self, goal: Array) -> None:
         """Take note of the joint positions (dof,) rad that are commanded now."""
+        self._sent = goal
+
+    def _drive(self, goal: Array) -> None:
+        """Move the drives towards the commanded `goal` (dof,) for one control step."""
         assert self._position is not None
         limits = self._model.limits
         near = np.clip(self._position, self.joints - FOLLOWING_ERROR, self.joints + FOLLOWING_ERROR)

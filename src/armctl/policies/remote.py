@@ -116,7 +116,9 @@ class RemotePolicy:
         self.seconds = 0.0
         if not self._in_batches:
             return np.array([self._act_one(i, observations) for i in range(self._interface.num_envs)])
-        answer = self._answer({"armctl": "act", "observation": _sendable(observations)})
+        answer = self._answer(
+            {"armctl": "act", "observation": _sendable(observations), "control_steps": self._interface._steps}
+        )
         n = self._interface.num_envs
         self.failures = np.broadcast_to(answer.get("failures", 0), n).astype(np.int64)
         errors = {int(i): error_in(str(text)) for i, text in answer.get("errors", {}).items()}

@@ -144,8 +144,9 @@ class _Served:
             vars(episode).update(news)
         return self._timed(lambda: self._policy.reset(ids))
 
-    def act(self, observations: Any) -> Answer:
-        """Return actions for observations."""
+    def act(self, observations: Any, control_steps: Any) -> Answer:
+        """Return actions for observations, after so many control steps (n,) of each world's episode."""
+        self._interface._steps[:] = control_steps
         return self._timed(lambda: self._policy.act(observations))
 
     def _timed(self, call: Callable[[], Any]) -> Answer:

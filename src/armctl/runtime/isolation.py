@@ -79,7 +79,7 @@ class IsolatedPolicy:
 
     def act(self, observations: Observations) -> Actions:
         """Return actions (n, ...). Raises `ControllersFailed`, and whatever the policy raises."""
-        return self._answered("act", observations)  # type: ignore[no-any-return]
+        return self._answered("act", observations, self._interface._steps)  # type: ignore[no-any-return]
 
     def close(self) -> None:
         """End the process. The next reset begins another."""

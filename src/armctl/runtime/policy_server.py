@@ -59,6 +59,7 @@ class ServedPolicy:
                 self._begin(num_envs, ids, states)
                 return {}
             case {"armctl": "act", "observation": observations}:
+                self._interface._steps[:] = message.get("control_steps", 0)
                 return self._act(observations)
             case {"observation": observation} if "armctl" not in message:  # of openpi's clients
                 if not self._began:
@@ -95,7 +96,8 @@ class ServedPolicy:
 
     def _make(self, num_envs: int) -> tuple[Interface, Policy]:
         episodes = [CurrentEpisode(np.random.default_rng(0)) for _ in range(num_envs)]
-        interface = dataclasses.replace(self._single, num_envs=num_envs, _episodes=episodes)
+        steps = np.zeros(num_envs, np.int64)
+        interface = dataclasses.replace(self._single, num_envs=num_envs, _episodes=episodes, _steps=steps)
         return interface, make_policy(self._name, interface)
 
 
