@@ -84,5 +84,5 @@ def _watch_threads(earlier: Set[threading.Thread]) -> None:
 def _name_threads(waiting: Sequence[threading.Thread]) -> None:
     time.sleep(PATIENCE)
     if running := [thread for thread in waiting if thread.is_alive()]:
-        of = f"{len(running)} threads of an environment or a policy run on, such as {running[0].name!r}"
+        of = f"threads of an environment or a policy run on, such as {running[0].name!r}"
         print(f"armctl has finished; {of}: Ctrl-C ends them", file=sys.stderr, flush=True)
