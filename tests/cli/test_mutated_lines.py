@@ -45,6 +45,7 @@ SEEDS = [("--seed", "0"), ("--seed", "7"), ("--seed", str(10**8 - 1))]
 WORLDS, WORKERS = [("--worlds", "1"), ("--worlds", "3")], [("--workers", "1"), ("--on", "local")]
 ISOLATED, EARLY = [("--isolate",), ("--isolate", "--timeout", "60")], [("--until", "decided", "--at-most", "3")]
 FILTERED = [("--filter",)]
+SCORED = [("--success-return", "-1"), ("--success", "any"), ("--success-key", "solved")]
 OUT = [("--out", "new"), ("--out", "new/deeper"), ("--out", "results", "--overwrite")]
 ROBOTS = [("--robot", "ur5"), ("--robot", "ur10")]
 OPTIONS = [("--set", "tolerance=0.1"), ("--set", "control=position"), ("--set", "render_mode=rgb_array")]
@@ -55,20 +56,20 @@ LINES: dict[str, Any] = {
     "new": ([("task", "mine")], []),
     "compare": (
         [("random", "odd.py:still"), ("--episodes", "1"), ARM, SHORT],
-        [*PLAYED, [("--baseline", "random")], [("--margin", "2")], [("--report",)], [("--success-return", "-1")],
+        [*PLAYED, [("--baseline", "random")], [("--margin", "2")], [("--report",)], SCORED,
          [("--return-bounds", "-9", "9")], [("--real-time", "0.01"), ("--slow-down", "1")],
          EARLY, ISOLATED, FILTERED],
     ),
     "sweep": (
         [("random",), ("--episodes", "1"), ARM, SHORT, ("--disturbance", "delay=1")],
-        [*PLAYED, DISTURBED, [("--success-return", "-1")], [("--return-bounds", "-9", "9")],
+        [*PLAYED, DISTURBED, SCORED, [("--return-bounds", "-9", "9")],
          [("--slow-down", "1"), ("--slow-down", "1", "--real-time", "1")], EARLY, ISOLATED, FILTERED,
          [("--pairs", "delay,payload"), ("--pairs", "delay=1,payload=2,3")]],
     ),
     "worst-case": (
         [("random",), ("--budget", "50"), ("--episodes", "1"), ARM, SHORT, ("--disturbances", "payload"),
          ("--no-video",)],
-        [*PLAYED, [("--judge-seed", "99")], [("--success-return", "-1")], ISOLATED, FILTERED],
+        [*PLAYED, [("--judge-seed", "99")], SCORED, ISOLATED, FILTERED],
     ),
     "plan": (
         [("--detect", "10")],
@@ -113,7 +114,8 @@ LINES: dict[str, Any] = {
     "pull": ([("owner/name",)], [[("--out", "new")], [("--overwrite",)]]),
     "suite": (
         [ODD, ("--episodes", "1")],
-        [[("--quick",)], SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, EARLY, ISOLATED, FILTERED],
+        [[("--quick",)], [("--policy", "odd.py:still")], SEEDS, OUT, WORLDS, WORKERS, POLICY_SEEDS, FORMATS, EARLY,
+         ISOLATED, FILTERED],
     ),
     "tune": (
         [("reach_mpc",), ("--trials", "1"), ("--episodes", "1"), ("--out", "new"), ARM],

@@ -88,8 +88,8 @@ def originals(tmp_path_factory):
     compare(["random", "reach_ppo"], episodes=3, out=home / "results", env_options=OPTIONS)
     sweep(["random"], disturbances={"delay": [1]}, episodes=2, out=home / "swept", env_options=OPTIONS)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("armctl.study.plan.FULL", SuiteSize(2, ("delay",), (0.25,)))
-        patch.setattr("armctl.study.plan.line_up", lambda *_: ("reach_ik", "reach_ppo"))
+        patch.setattr("armctl.study.suite_plan.FULL", SuiteSize(2, ("delay",), (0.25,)))
+        patch.setattr("armctl.study.suite_plan.line_up", lambda *_: ("reach_ik", "reach_ppo"))
         suite(["armctl/ArmReach-v0"], out=home / "suite")
     card = card_path("reach_ppo")
     for name in ("agent", "recipe", "curve"):

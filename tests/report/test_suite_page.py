@@ -27,7 +27,7 @@ LOOK = Style("PPO", "#0072b2")
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    module = importlib.import_module("armctl.study.plan")
+    module = importlib.import_module("armctl.study.suite_plan")
     folder = tmp_path_factory.mktemp("suite")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FULL", SuiteSize(2, ("delay",), (0.25,)))

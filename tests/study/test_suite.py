@@ -14,15 +14,15 @@ from armctl.report.formats import FORMATS
 from armctl.study import suite
 from armctl.study.line_up import FULL, QUICK, SuiteSize, line_up, main_disturbances, unusable_agents
 from armctl.study.names import task_name
-from armctl.study.plan import suite_plan
 from armctl.study.results import UNFINISHED, read_study
 from armctl.study.suite_headline import suite_headline
+from armctl.study.suite_plan import suite_plan
 from armctl.verdict.tables import Remark, Table
 
 from ..forgery import change_record
 from ..stores import timeless
 
-module = importlib.import_module("armctl.study.plan")
+module = importlib.import_module("armctl.study.suite_plan")
 REACH, MOVING = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0"
 SMALL = SuiteSize(2, ("delay",), (0.25,))
 LINE_UPS = {REACH: ("reach_ik", "reach_ppo", "reach_bc"), MOVING: ("reach_ik", "moving_ppo")}
@@ -101,6 +101,36 @@ def test_tables_in_all_formats(finished):
     assert {one["env"] for one in json.loads(FORMATS["json"](document))["tasks"]} == {REACH, MOVING}
     assert FORMATS["csv"](document).startswith("table,env,classical")
     assert r"\begin{tabular}" in FORMATS["latex"](document)
+
+
+MINE = """
+def still(observation):
+    return 0 * observation[:6]
+
+def swing(observation):
+    assert len(observation) == 3, "no pendulum"
+    return [0.0]
+
+def lost(observation):
+    return swing(observation[:2])
+"""
+
+
+def test_own_policies_play_where_they_fit_and_others_are_told(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(LINE_UPS, REACH, ("random",))
+    found = suite([REACH, "Pendulum-v1"], policies=["mine.py:still", "mine.py:swing"], episodes=1, out="kept")
+    assert [*found.tasks[REACH].comparisons["none"].counted] == ["random", "mine.py:still"]
+    assert [*found.tasks["Pendulum-v1"].comparisons["none"].counted] == ["random", "mine.py:swing"]
+    assert not found.problems
+    for told in (found, read_study(tmp_path / "kept")):
+        swing, still = told.notes
+        assert swing == f"mine.py:swing does not play in {REACH}: AssertionError: no pendulum (mine.py:6)"
+        assert still.startswith("mine.py:still does not play in Pendulum-v1: ")
+        assert any(isinstance(part, Remark) and part.text == swing for part in told.document().parts)
+    with pytest.raises(ConfigurationError, match=r"lost fits none of the tasks: in Pendulum-v1, .*\(mine.py:6\)"):
+        suite(["Pendulum-v1"], policies="mine.py:lost")
 
 
 @pytest.mark.slow

@@ -11,8 +11,9 @@ from armctl.core.errors import ConfigurationError
 from armctl.report import write_report
 from armctl.stats.robustness import change_between
 from armctl.study import compare, suite, sweep
-from armctl.study.plan import comparison_plan, suite_plan, sweep_plan
+from armctl.study.plan import comparison_plan, sweep_plan
 from armctl.study.results import read_comparison, read_study
+from armctl.study.suite_plan import suite_plan
 from armctl.verdict.summary import counted_rows
 
 from ..printed import text_of
@@ -197,8 +198,8 @@ def test_changes_of_a_sweep_are_tested_at_any_number(swept):
 def stopped_suite(tmp_path_factory):
     folder = tmp_path_factory.mktemp("suite")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("armctl.study.plan.line_up", lambda env, one_of_each: ("random", "reach_ik", "reach_ppo"))
-        patch.setattr("armctl.study.plan.main_disturbances", lambda env, size: {"delay": [0, 20]})
+        patch.setattr("armctl.study.suite_plan.line_up", lambda env, one_of_each: ("random", "reach_ik", "reach_ppo"))
+        patch.setattr("armctl.study.suite_plan.main_disturbances", lambda env, size: {"delay": [0, 20]})
         yield suite(["armctl/ArmReach-v0"], episodes=60, until="decided", out=folder), folder
 
 

@@ -19,14 +19,13 @@ from armctl.cli.options import (
     Policies,
     PolicySeed,
     RealTime,
-    ReturnBounds,
     Robot,
     Seed,
-    SuccessReturn,
     TableFormat,
     Workers,
     Worlds,
     checked_env,
+    checked_policies,
     checked_policy,
     environment_options,
     exit_if_interrupted,
@@ -37,6 +36,7 @@ from armctl.cli.options import (
     progress_bar,
 )
 from armctl.cli.player_options import Filter, Isolate, Timeout
+from armctl.cli.scoring_options import ReturnBounds, Success, SuccessKey, SuccessReturn
 from armctl.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -91,14 +91,22 @@ class TaskRequest(StudyRequest):
     env: Env = DEFAULT_ENV
     robot: Robot = None
     env_options: EnvOptions = None
+    success: Success = None
+    success_key: SuccessKey = None
     success_return: SuccessReturn = None
     return_bounds: ReturnBounds = None
 
     @property
     def task_options(self) -> dict[str, Any]:
         """The options that `armctl.study.options.TaskOptions` has."""
-        options = environment_options(self.env, self.env_options, robot=self.robot, success_return=self.success_return)
-        return {"env_options": options, "return_bounds": self.return_bounds}
+        return {"env_options": options_of_env(self), "return_bounds": self.return_bounds}
+
+
+def options_of_env(request: Any) -> dict[str, Any]:
+    """Return the options of the environment that a request names; they are checked before anything is loaded."""
+    names = ("robot", "success", "success_key", "success_return")
+    short_forms = {name: getattr(request, name) for name in names}
+    return environment_options(request.env, request.env_options, **short_forms)
 
 
 def checked_envs(envs: list[str] | None) -> list[str] | None:
@@ -196,6 +204,18 @@ class SuiteRequest(StudyRequest):
             callback=checked_envs,
         ),
     ] = None
+    policies: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--policy",
+            metavar="POLICY",
+            help="Further policy, of any form that `compare` takes, such as `mine.py:pd`; can be repeated. It plays in "
+            "the tasks that it fits.",
+            show_default="none",
+            autocompletion=completion.policies,
+            callback=checked_policies,
+        ),
+    ] = None
     quick: Annotated[
         bool,
         typer.Option(
@@ -222,14 +242,18 @@ def suite(request: SuiteRequest) -> None:
     `payload`, `friction`, `pushes` and `mismatch`, at the middle and the strongest of their levels; `--quick` has
     only `delay`, and the first expert and the first agent of each task.
 
+    `--policy mine.py:pd` plays too, in the tasks in whose first control step it can act; others are named with the
+    reason.
+
     With `--workers 2`, that takes less than an hour. Every episode is written as it ends. After Ctrl-C, the same
     command with the same `--out` resumes the suite. A task that fails is reported, and does not stop the others.
     """
     num_episodes = request.num_episodes(request.episodes, None)
-    from armctl.study.plan import ALL, suite_plan
+    envs, policies = request.envs, request.policies or ()
+    from armctl.study.suite_plan import ALL, suite_plan
 
     def plan(options: Any) -> "Plan":
-        return suite_plan(request.envs or (ALL,), request.quick, num_episodes, request.seed, options)
+        return suite_plan(envs or (ALL,), request.quick, num_episodes, request.seed, options, policies)
 
     play_study(request, request.out, plan, "", report=True, video=request.video)
 

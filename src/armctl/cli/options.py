@@ -188,25 +188,6 @@ Format = Annotated[
         "else.",
     ),
 ]
-SuccessReturn = Annotated[
-    float | None,
-    typer.Option(
-        "--success-return",
-        metavar="RETURN",
-        help="Return from which on an episode counts as a success, in an environment that is not made of a task.",
-        show_default='the environment\'s info["is_success"] or info["success"]',
-    ),
-]
-ReturnBounds = Annotated[
-    tuple[float, float] | None,
-    typer.Option(
-        "--return-bounds",
-        metavar="LOW HIGH",
-        help="Least and largest possible return of any episode, for an environment that does not tell them. Means of "
-        "returns have intervals and tests with such bounds only.",
-        show_default="those of the task, if known",
-    ),
-]
 
 
 def checked_policy_seed(seed: int | None) -> int | None:

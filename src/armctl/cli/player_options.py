@@ -16,8 +16,8 @@ Timeout = Annotated[
     float | None,
     typer.Option(
         metavar="SECONDS",
-        help="Time that a policy in another process may take for an answer.",
-        show_default="10; of an isolated policy, 300",
+        help="Time that a decision of a policy, or a step of the environment, may take.",
+        show_default="10 in another Python; of an isolated policy, 300; else any",
     ),
 ]
 Filter = Annotated[

@@ -10,7 +10,7 @@ import typer
 from armctl import DEFAULT_ENV
 from armctl.cli import completion
 from armctl.cli.app import verb
-from armctl.cli.compare import TaskRequest, play_study
+from armctl.cli.compare import TaskRequest, options_of_env, play_study
 from armctl.cli.options import (
     Env,
     EnvOptions,
@@ -21,11 +21,9 @@ from armctl.cli.options import (
     PolicySeed,
     Robot,
     Seed,
-    SuccessReturn,
     TableFormat,
     Workers,
     Worlds,
-    environment_options,
     exit_if_interrupted,
     make_report,
     new_folder,
@@ -34,6 +32,7 @@ from armctl.cli.options import (
     seed_of,
 )
 from armctl.cli.player_options import Filter, Isolate, Timeout
+from armctl.cli.scoring_options import Success, SuccessKey, SuccessReturn
 
 if TYPE_CHECKING:
     from armctl.study.plan import Plan
@@ -161,6 +160,8 @@ class WorstCaseRequest:
     filter: Filter = False
     robot: Robot = None
     env_options: EnvOptions = None
+    success: Success = None
+    success_key: SuccessKey = None
     success_return: SuccessReturn = None
     table_format: Format = TableFormat.TABLE
 
@@ -180,9 +181,7 @@ def worst_case(request: WorstCaseRequest) -> None:
     The report has a video of a failure of each policy, and the command that shows it live. Every episode is written as
     it ends. After Ctrl-C, the same command with the same `--out` resumes.
     """
-    env_options = environment_options(
-        request.env, request.env_options, robot=request.robot, success_return=request.success_return
-    )
+    env_options = options_of_env(request)
     from armctl.runtime.engines import connect
     from armctl.study.mildest_failure import worst_case as search
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from armctl import DISTRIBUTION
+from armctl.core.causes import hint_for, source_line
 
 FAILURES = (Exception, SystemExit)
 """Exceptions of other people's code when it fails. `sys.exit` in a policy ends the policy, not the comparison."""
@@ -48,6 +49,10 @@ class EnvironmentFailed(ArmctlError):
 
 class ConnectionFailed(ArmctlError):
     """A policy or environment in another process is gone, does not answer in time, or answers nonsense."""
+
+
+class TookTooLong(ArmctlError):
+    """A call of a policy or environment in this process took longer than its limit."""
 
 
 class UnreachableTarget(ArmctlError):
@@ -88,8 +93,17 @@ def reason(error: BaseException) -> str:
 
 
 def described(error: BaseException) -> str:
-    """Return an error of user code in a line: its type, its message, and its place."""
-    return f"{type(error).__name__}: {reason(error)}{place_of(error)}"
+    """Return an error of user code in a line: its type, its message, its place, and a hint if its cause is known."""
+    return f"{type(error).__name__}: {details_of(error)}"
+
+
+def details_of(error: BaseException) -> str:
+    """Return an error of user code in a line, without its type."""
+    place, message = place_of(error), reason(error)
+    if not message:
+        message = source_line(error)
+        place = "" if message.endswith(place.strip(" ()")) else place
+    return f"{message}{place}{hint_for(error)}"
 
 
 def place_of(error: BaseException) -> str:

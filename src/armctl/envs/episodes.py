@@ -98,6 +98,10 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """End the episodes of worlds `ids`: without an autoreset, they stand still until they are reset."""
         self._finished[ids] = True
 
+    def limit_answers(self, seconds: float) -> bool:
+        """Limit the time of each answer of worlds in other processes; return whether these are in others."""
+        return False
+
     @abstractmethod
     def render(self) -> Any:
         """Return images (height, width, 3) of all worlds, as a tuple."""

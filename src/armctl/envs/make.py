@@ -13,6 +13,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.registration import load_task
 from armctl.envs.episodes import EpisodeVectorEnv
 from armctl.envs.find import RETURN_BOUNDS, find_spec, is_task, wrap_errors
+from armctl.envs.success import OPTIONS, SuccessRule
 from armctl.envs.third_party import ThirdPartyTask, ThirdPartyVectorEnv
 from armctl.envs.vector import TaskVectorEnv
 
@@ -22,7 +23,7 @@ RESERVED = {
 }  # fmt: skip
 """Arguments that callers cannot set as options."""
 ONE_WORLD = "name a class or function that makes one world, and armctl makes as many as it needs"
-SCORING = {"success_return", "disturbances"}
+SCORING = {*OPTIONS, "disturbances"}
 """Options for environments of others, which these do not get to see."""
 
 
@@ -62,9 +63,13 @@ def make_worlds(
             "such as Stable-Baselines3, and make an agent of its model with `armctl export`"
         )
     scoring = {name: options.pop(name) for name in SCORING & set(options)}
-    if not isinstance(scoring.get("success_return", 0.0), (int, float)):
-        raise ConfigurationError(f"success_return is a number, not {scoring['success_return']!r}")
-    others = ThirdPartyVectorEnv(lambda: _make_third_party(spec, options, render_mode), num_envs, **scoring)
+    disturbances = scoring.pop("disturbances", {})
+    others = ThirdPartyVectorEnv(
+        lambda: _make_third_party(spec, options, render_mode),
+        num_envs,
+        success=SuccessRule(**scoring),
+        disturbances=disturbances,
+    )
     others.stated_return_bounds = stated
     return others
 

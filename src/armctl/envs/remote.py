@@ -41,6 +41,15 @@ class RemoteEnv(gymnasium.Env[Any, Any]):
         if not facts["takes_seed"]:
             raise ConfigurationError(f"{name}: reset takes no seed, so that no episode could be repeated")
 
+    @property
+    def patience(self) -> float:
+        """Time that an answer may take, s."""
+        return self._connection.patience
+
+    @patience.setter
+    def patience(self, seconds: float) -> None:
+        self._connection.patience = seconds
+
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> Any:
         """Begin an episode. Raises `EnvironmentFailed`."""
         result = self._answer({"armctl": "reset", "seed": seed})["result"]

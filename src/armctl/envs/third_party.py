@@ -1,7 +1,7 @@
 """Environments of others: n ordinary Gymnasium environments, played by armctl's rules for episodes.
 
-Episode k of seed s starts with `reset(seed=episode_seed(s, k))`. Success is `info["is_success"]` or `info["success"]`
-of an episode's last step, or a return of at least `success_return`; without either, it is unknown.
+Episode k of seed s starts with `reset(seed=episode_seed(s, k))`. Success is read by a `SuccessRule`; where an episode
+does not tell of it, it is unknown.
 """
 
 import contextlib
@@ -28,10 +28,10 @@ from armctl.envs.environment_options import LARGEST_REWARD
 from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.imagined import Imagined
 from armctl.envs.observations import stacked
+from armctl.envs.success import UNSTATED, SuccessReader, SuccessRule
 from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts
 
-SUCCESS_KEYS = ("is_success", "success")
 LARGEST_SEED = 2**31
 """Bound of the seeds that environments of others are given."""
 RENDER_FPS = 25
@@ -82,7 +82,7 @@ class ThirdPartyTask(TaskFacts):
 class ThirdPartyVectorEnv(EpisodeVectorEnv):
     """n environments of others, stepped one after the other. After an episode, a world stands still until its reset.
 
-    `make` makes one environment. `success_return` is the return from which on an episode is a success.
+    `make` makes one environment. `success` says how success is read from an episode.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.DISABLED}
@@ -94,7 +94,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         make: Callable[[], gymnasium.Env[Any, Any]],
         num_envs: int,
         *,
-        success_return: float | None = None,
+        success: SuccessRule = UNSTATED,
         disturbances: Mapping[str, float | Sequence[float]] = MappingProxyType({}),
     ) -> None:
         super().__init__(num_envs)
@@ -107,10 +107,8 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
         self.task = ThirdPartyTask(first, num_envs)
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
         self.disturbances = disturb(self.task, self.task.disturbances, disturbances)
-        self._success_return = success_return
-        self._returns = np.zeros(num_envs)
-        self._had_success = np.zeros(num_envs, dtype=bool)
-        """(n,) whether a step of the episode has told of a success."""
+        self.success = success
+        self._successes = SuccessReader(success, num_envs, self._name, self.remarks)
         self._is_finite = True
         """False once an observation had a number that is not finite."""
         _check_reset(first.unwrapped)
@@ -143,11 +141,9 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                     terms.setdefault(name, np.zeros(n))[i] = value
             self._steps[i] += 1
             self._check_step(int(i), rewards[i], bool(terminated[i] or truncated[i]))
-            self._returns[i] += rewards[i]
-            step_success = self._step_success(info)
-            self._had_success[i] |= bool(step_success)
+            self._successes.step(int(i), rewards[i], info)
             if terminated[i] or truncated[i]:
-                success[i] = self._success(int(i), step_success)
+                success[i] = self._successes.success(int(i), info)
                 ending = "success" if success[i] else "terminated" if terminated[i] else "truncated"
                 outcome[i] = self.outcomes.index(ending)
         self._finished |= terminated | truncated
@@ -166,6 +162,13 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 frames.append(foreign_values.picture(world.render(), world.unwrapped))
         return tuple(frames)
 
+    def limit_answers(self, seconds: float) -> bool:
+        """Limit the time of each answer of worlds in other processes; return whether these are in others."""
+        remote: list[Any] = [world.unwrapped for world in self.worlds if hasattr(world.unwrapped, "patience")]
+        for world in remote:
+            world.patience = seconds
+        return bool(remote)
+
     def close_extras(self, **kwargs: Any) -> None:
         """Close all environments."""
         for world in self.worlds:
@@ -175,7 +178,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 warnings.warn(f"{self._name} could not be closed: {described(error)}", stacklevel=2)
 
     def _begin(self, ids: NDArray[np.int32]) -> None:
-        self._returns[ids], self._had_success[ids] = 0.0, False
+        self._successes.begin(ids)
         for i in ids:
             seed = episode_seed(int(self._seeds[i]), int(self._episodes[i]))
             with self._wrap_errors(int(i)):
@@ -221,29 +224,6 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 f"episode {self._episodes[i]} of {self._name} has not ended after {ENDLESS:,} steps: limit them, "
                 "such as by --set max_episode_steps=1000"
             )
-
-    def _step_success(self, info: Mapping[str, Any]) -> bool | None:
-        """Return what a step tells of success; None if nothing that is true or false."""
-        key = next((key for key in SUCCESS_KEYS if info.get(key) is not None), None)
-        if key is None or (success := foreign_values.truth(info[key])) is not None:
-            return None if key is None else success
-        remark = (
-            f'info["{key}"] of {self._name} is a {type(info[key]).__name__} that is neither true nor false: where an '
-            "episode's last step has one, its success is unknown."
-        )
-        self.remarks[remark] = None
-        return None
-
-    def _success(self, i: int, step_success: bool | None) -> bool | None:
-        if self._success_return is not None:
-            return bool(self._returns[i] >= self._success_return)
-        if step_success is False and self._had_success[i]:
-            remark = (
-                f"In some episodes of {self._name}, an earlier step tells of a success, and the last one does not: the "
-                "last step counts."
-            )
-            self.remarks[remark] = None
-        return step_success
 
     def imagined(self, world: int) -> Imagined:
         """Return a copy of a world's environment, with its present state, to plan in.

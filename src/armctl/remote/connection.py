@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import os
+import re
 import select
 import shutil
 import subprocess
@@ -33,6 +34,8 @@ TO_START = 120.0
 PACKAGES = ("websockets", "msgpack")
 """What another Python gets to see of this one's packages, behind its own."""
 LOOPBACK = {"127.0.0.1", "localhost", "::1"}
+LAST_FRAME = re.compile(r'^  File "(.+)", line (\d+), in .*\n    (.+)$', re.MULTILINE)
+"""File, number and text of a line in a traceback."""
 START = """
 import sys, types
 sys.path.append({packages!r})
@@ -110,7 +113,11 @@ def error_in(text: str) -> OtherEndFailed:
     """Return an error that reads like the one in a traceback from the other end."""
     name, colon, message = text.strip().rpartition("\n")[2].partition(": ")
     kind = name.rpartition(".")[2]
-    if not (colon and kind.isidentifier()):
+    frames = LAST_FRAME.findall(text)
+    if kind.isidentifier() and frames and not message:
+        file, number, message = frames[-1]
+        message = f'"{message}" in {Path(file).name}:{number}'
+    elif not (colon and kind.isidentifier()):
         kind, message = OtherEndFailed.__name__, f"{name}{colon}{message}" or "an error without a text"
     error: OtherEndFailed = type(kind, (OtherEndFailed,), {})(message)
     error.add_note(f"At the other end:\n{text}")

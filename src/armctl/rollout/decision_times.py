@@ -29,6 +29,8 @@ class TimedPolicy:
 
     slow_down = 1.0
     """Factor by which a decision takes longer than it was measured."""
+    timeout: float | None = None
+    """Time (s) that a call of the policy, or of its environment, may take; None: any."""
 
     def __init__(self, policy: Policy, n: int, workers: int = 1) -> None:
         self.policy = policy

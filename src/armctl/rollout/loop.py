@@ -21,9 +21,11 @@ from armctl.core.errors import (
     Disqualified,
     EnvironmentFailed,
     InvalidAction,
+    TookTooLong,
     described,
 )
 from armctl.core.seeds import Seed, evaluation_seed
+from armctl.core.time_limit import time_limit
 from armctl.envs import EpisodeVectorEnv, chosen_policy_seed
 from armctl.episodes.failures import PolicyDisqualified, PolicyFailed, until_unplayable
 from armctl.episodes.record import EpisodeResult, FailedEpisode
@@ -98,7 +100,10 @@ class _Player:
     ) -> None:
         self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
         guard = StateGuard(env, timed.policy.sees == "state", getattr(timed.policy, "foresight", ()))
-        self._guarded = _out_of_reach if hasattr(timed.policy, "own_code") else guard.assert_unchanged
+        self._guarded, self._limit = guard.assert_unchanged, timed.timeout
+        if hasattr(timed.policy, "own_code"):  # in another process, it has no world, and a limit of its own
+            self._guarded, self._limit = _out_of_reach, None
+        self._limit_of_env = environment_limit(env, timed.timeout)
         self._numbers = np.zeros(env.num_envs, dtype=np.int64)
         """(n,) the episode of each world."""
         self._playing = np.zeros(env.num_envs, dtype=bool)
@@ -195,20 +200,22 @@ class _Player:
 
     def _begin(self, starting: NDArray[np.bool_], seeds: list[int] | None) -> None:
         """Start an episode in the worlds `starting` (n,)."""
-        with wrap_environment_errors(self._name, self._numbers[starting][0]):
+        episode = self._numbers[starting][0]
+        with wrap_environment_errors(self._name, episode, self._limit_of_env):
             options = {"reset_mask": starting, "episode": np.maximum(self._numbers, 0)}
             self._observations, infos = self._env.reset(seed=seeds, options=options)
+        with wrap_environment_errors(self._name, episode):
             self._recorder.begin(starting & self._playing, self._numbers, infos)
 
     def _reset(self, starting: NDArray[np.bool_]) -> Errors:
         """Tell the policy that episodes start."""
-        with self._policy_errors(), self._guarded(new_episode=True):
+        with self._policy_errors(), self._guarded(new_episode=True), time_limit(self._limit, "its reset"):
             return self._timed.reset(np.flatnonzero(starting).astype(np.int32), self._numbers[starting].tolist())
 
     def _act(self, attempts: Mapping[int, _Attempt]) -> tuple[Any, NDArray[np.float64], Errors]:
         """Return actions (n, ...), the time of each world's decision, and errors by world, also for invalid actions."""
         with self._policy_errors():
-            with self._guarded():
+            with self._guarded(), time_limit(self._limit, "its decision"):
                 actions, decision_ms, errors = self._timed.act(self._observations)
             if valid := [i for i in range(self._env.num_envs) if i not in errors]:
                 errors = self._env.unwrapped.invalid_actions(_without(actions, errors, valid)) | errors
@@ -216,7 +223,7 @@ class _Player:
 
     def _step(self, actions: Any, decision_ms: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.bool_]]:
         """Make a control step. Return infos, and in which worlds (n,) the episode has ended."""
-        with wrap_environment_errors(self._name, self._numbers[self._playing][0]):
+        with wrap_environment_errors(self._name, self._numbers[self._playing][0], self._limit_of_env):
             self._observations, rewards, terminated, truncated, infos = self._env.step(actions)
             self._recorder.step(actions, decision_ms, rewards, infos)
         return infos, terminated | truncated
@@ -240,7 +247,7 @@ class _Player:
         except Disqualified as error:
             episode = self._numbers[self._playing][0]
             raise PolicyDisqualified(f"{self._name} is disqualified: in episode {episode}, {error}") from error
-        except ConnectionFailed as error:
+        except (ConnectionFailed, TookTooLong) as error:
             raise PolicyFailed(f"{self._name} failed in episode {self._numbers[self._playing][0]}: {error}") from error
         except FAILURES as error:
             raise _UnknownWorldFailed(error) from error
@@ -271,15 +278,26 @@ def wrap_policy_errors(name: str, episode: int) -> Iterator[None]:
         raise PolicyFailed(f"{name} failed in episode {episode}: {message}") from cause
 
 
+def environment_limit(env: EpisodeVectorEnv, timeout: float | None) -> float | None:
+    """Return the time limit (s) of a step or reset in this process; worlds in other processes get it as theirs."""
+    return None if timeout is None or env.unwrapped.limit_answers(timeout) else timeout
+
+
 @contextmanager
-def wrap_environment_errors(name: str, episode: int) -> Iterator[None]:
-    """Turn an invalid action into `PolicyFailed`, and any other error inside into `EnvironmentFailed`."""
+def wrap_environment_errors(name: str, episode: int, limit: float | None = None) -> Iterator[None]:
+    """Turn an invalid action into `PolicyFailed`, and any other error inside into `EnvironmentFailed`.
+
+    It is an error, too, if the code inside takes longer than the `limit` (s).
+    """
     try:
-        yield
+        with time_limit(limit, "it"):
+            yield
     except InvalidAction as error:
         raise PolicyFailed(f"{name} failed in episode {episode}: {error}") from error
     except (ConfigurationError, EnvironmentFailed):
         raise
+    except TookTooLong as error:
+        raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {error}") from error
     except FAILURES as error:
         raise EnvironmentFailed(f"the environment failed in episode {episode} of {name}: {described(error)}") from error
 

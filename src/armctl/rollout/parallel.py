@@ -48,7 +48,7 @@ class WorkerConfig:
     isolate: bool = field(compare=False, default=False)
     """True if each policy plays in a process of its own, besides the worker."""
     timeout: float | None = field(compare=False, default=None)
-    """Time (s) that a policy in another process may take for an answer; None: the default of its kind."""
+    """Time (s) that a call of a policy or environment may take; None: the default of its kind."""
     home: int = field(default_factory=os.getpid, compare=False)
     """Id of the process that waits for the workers."""
     interfaces: Callable[..., WorldsByInterface] = field(default=WorldsByInterface, compare=False)
@@ -221,6 +221,7 @@ def _play(
     try:
         worlds, timed = _actor(setting, name)
         policy = RealTimePolicy(timed.policy, worlds, real_time, name) if real_time else timed
+        policy.timeout = config.timeout
         if config.recording is not None:
             worlds = config.recording(worlds)
         results.extend(rollouts(policy, worlds, episodes, config.seed, name, lower_bound_steps))

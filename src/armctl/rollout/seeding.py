@@ -14,7 +14,7 @@ import numpy as np
 from armctl.core.errors import EnvironmentFailed
 from armctl.core.registration import bare_id
 from armctl.envs import make_worlds, one_of
-from armctl.rollout.loop import wrap_environment_errors
+from armctl.rollout.loop import environment_limit, wrap_environment_errors
 
 STEPS = 25
 """Number of steps of each trial. Most ways to ignore a seed show at the reset, the others soon after it."""
@@ -32,18 +32,20 @@ class SeedCheck:
     """False if an episode was another one when it was played again."""
 
 
-def check_seed(env: str, env_options: Mapping[str, Any] | None = None) -> SeedCheck:
+def check_seed(env: str, env_options: Mapping[str, Any] | None = None, timeout: float | None = None) -> SeedCheck:
     """Return how an environment takes its seed, and whether it observes what it declares.
 
     Two worlds play episodes 0 and 1 with the same random actions, and then once more with the episodes swapped. So a
     difference shows whether it comes from the global random state, from what was played before, or from the instance.
+    `timeout` is the time (s) that a reset or a step may take.
     """
     name, notes = bare_id(env), list[str]()
     with closing(make_worlds(env, 2, env_options)) as worlds:
         worlds.single_action_space.seed(0)
         actions = [worlds.single_action_space.sample() for _ in range(STEPS)]
+        limit = environment_limit(worlds, timeout)
         try:
-            once, again = (_play(worlds, episodes, actions) for episodes in ((0, 1), (1, 0)))
+            once, again = (_play(worlds, episodes, actions, limit) for episodes in ((0, 1), (1, 0)))
         except EnvironmentFailed as error:
             return SeedCheck([f"Whether {name} obeys its seed is unknown: {error}"])
     if misfit := _misfit(worlds.single_observation_space, [observation for observation, *_ in once[0]]):
@@ -77,13 +79,13 @@ def _misfit(space: Any, observations: Sequence[Any]) -> str:
     return ""
 
 
-def _play(worlds: Any, episodes: Sequence[int], actions: Sequence[Any]) -> list[list[Step]]:
+def _play(worlds: Any, episodes: Sequence[int], actions: Sequence[Any], limit: float | None) -> list[list[Step]]:
     """Return the steps of each world, from the reset to the episode's end, or as many as there are actions."""
-    with wrap_environment_errors("a trial", episodes[0]):
+    with wrap_environment_errors("a trial", episodes[0], limit):
         observations, _ = worlds.reset(seed=[0, 0], options={"episode": list(episodes)})
     trials: list[list[Step]] = [[(one_of(observations, i), 0.0, False, False)] for i in range(2)]
     for action in actions:
-        with wrap_environment_errors("a trial", episodes[0]):
+        with wrap_environment_errors("a trial", episodes[0], limit):
             observations, rewards, terminated, truncated, _ = worlds.step([action, action])
         for i, trial in enumerate(trials):
             if not (trial[-1][2] or trial[-1][3]):

@@ -26,9 +26,8 @@ from armctl.core.errors import (
     AgentFileError,
     ConfigurationError,
     InvalidAction,
+    details_of,
     formatted,
-    place_of,
-    reason,
 )
 from armctl.core.plain_values import plain
 from armctl.envs import Interface
@@ -68,7 +67,7 @@ class RemoteError:
     def of(cls, error: BaseException) -> "RemoteError":
         """Return what an error says."""
         kind: Kind = next((name for error_type, name in KINDS.items() if isinstance(error, error_type)), "error")
-        message = str(error) if kind != "error" else f"{reason(error)}{place_of(error)}"
+        message = str(error) if kind != "error" else details_of(error)
         by_world = error.by_world if isinstance(error, InvalidAction) else {}
         return cls(kind, type(error).__name__, message, formatted(error)[-LONGEST:], by_world)
 

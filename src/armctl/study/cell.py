@@ -20,7 +20,7 @@ from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy, WorldsByInterface
 from armctl.rollout.construction import build_timed
 from armctl.rollout.decision_times import TimedPolicy
-from armctl.rollout.loop import wrap_environment_errors
+from armctl.rollout.loop import environment_limit, wrap_environment_errors
 from armctl.rollout.parallel import (
     RolloutBatch,
     Setting,
@@ -157,6 +157,8 @@ class _Line:
                 else TimedPolicy(policy, worlds[name].num_envs)
                 for name, policy in self.policies.items()
             }
+            for policy in timed.values():
+                policy.timeout = plan.timeout
             return lambda waiting, finished: play_here(timed, worlds, plan.seed, waiting, lower_bound_steps, finished)
         close(self.policies.values())  # workers make their own
         config = WorkerConfig(
@@ -287,7 +289,7 @@ def _policies(cell: Cell, interfaces: WorldsByInterface, session: Session, event
 def _notes(line: _Line, task: Task) -> list[str]:
     """Return remarks about an environment, before anything is played in it. Raise `ConfigurationError`."""
     cell, env = line.cell, line.env
-    with wrap_environment_errors("a trial", 0):
+    with wrap_environment_errors("a trial", 0, environment_limit(env, line.plan.timeout)):
         env.reset(seed=line.plan.seed)  # raises for an invalid seed
     notes = cell.single_trainings
     if cell.real_time is not None:
@@ -296,12 +298,12 @@ def _notes(line: _Line, task: Task) -> list[str]:
     if not line.plan.engine.is_local:
         check_sendable(line.playing)
     if task.seeding is None:
-        task.seeding = check_seed(cell.env, cell.env_options)
+        task.seeding = check_seed(cell.env, cell.env_options, line.plan.timeout)
     if line.plan.until_decided and not task.seeding.obeyed:
         raise ConfigurationError(NO_PAIRS.format(env=bare_id(cell.env)))
     notes += task.seeding.notes
     if isinstance(env, ThirdPartyVectorEnv):
-        notes.append(NOT_AN_ARMCTL_TASK.format(env=bare_id(cell.env)))
+        notes += filter(None, (NOT_AN_ARMCTL_TASK.format(env=bare_id(cell.env)), env.success.in_words))
     return notes
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NO_SUCCESS_SIGNAL = (
-    "{env} does not say what a success is: the verdict goes by return. --success-return says which is one."
+    "{env} does not say what a success is: the verdict goes by return. --success-key or --success-return does."
 )
 UNBOUNDED = (
     "The possible returns are unknown, so that their means and worst tenths have neither intervals nor tests: a "

@@ -1,17 +1,34 @@
 """Line-up of a suite: the policies of each task, and its disturbances."""
 
 import fnmatch
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from armctl.agents import read_card
-from armctl.core.errors import ArmctlError
+from armctl.core.errors import FAILURES, ArmctlError, EnvironmentFailed, described
 from armctl.core.kinds import Kind, declared_kind
 from armctl.core.registration import bare_id, load_installed
-from armctl.envs import ThirdPartyVectorEnv, task_of
-from armctl.policies import GROUP, UNSKILLED, WorldsByInterface, agent_cards, make_policy, policy_names
+from armctl.core.time_limit import time_limit
+from armctl.envs import ThirdPartyVectorEnv, chosen_policy_seed, task_of
+from armctl.policies import (
+    GROUP,
+    UNSKILLED,
+    ControllersFailed,
+    WorldsByInterface,
+    agent_cards,
+    expanded,
+    make_policy,
+    policy_names,
+)
+from armctl.rollout.construction import build_timed
+from armctl.rollout.loop import environment_limit, wrap_environment_errors
+from armctl.runtime.isolation import close
 from armctl.study.levels import sweep_levels
+from armctl.study.options import StudyOptions
 
 
 @dataclass(frozen=True)
@@ -84,6 +101,49 @@ def _fits(name: str, env: str, worlds: WorldsByInterface) -> bool:
     except ArmctlError:
         return False
     return card is None or bare_id(card.env) == bare_id(env)
+
+
+def fitting(policies: Mapping[str, Any], env: str, options: StudyOptions) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return those of some policies that can act in an environment, by name, and why the others cannot.
+
+    Each decides the first control step of an episode, in a world of its own. Raises `ConfigurationError`, and
+    `EnvironmentFailed`.
+    """
+    usable, reasons = dict[str, Any](), dict[str, str]()
+    for name, policy in policies.items():
+        players, _ = expanded({name: policy})
+        misfits = (_misfit(player, label, env, options) for label, player in players.items())
+        if (why := next(filter(None, misfits), None)) is None:
+            usable[name] = policy
+        else:
+            reasons[name] = why
+    return usable, reasons
+
+
+def _misfit(policy: Any, name: str, env: str, options: StudyOptions) -> str | None:
+    """Return why a policy cannot make a control step in an environment; None if it can."""
+    actors = []
+    with closing(WorldsByInterface(env, 1)) as interfaces:
+        try:
+            worlds, secret = interfaces.of(policy), chosen_policy_seed(None)
+            actor, _ = build_timed(policy, worlds, name, secret, options.get("isolate", False), options.get("timeout"))
+            actors.append(actor)
+            timeout = options.get("timeout")
+            limit = None if hasattr(actor, "own_code") else timeout
+            with wrap_environment_errors("a trial", 0, environment_limit(worlds, timeout)):
+                observations, _ = worlds.reset(seed=0)
+            with time_limit(limit, "its first decision"):
+                actor.reset(np.zeros(1, np.int32))
+                action = actor.act(observations)
+            worlds.step(action)
+        except EnvironmentFailed:
+            raise
+        except FAILURES as error:
+            cause = error.first if isinstance(error, ControllersFailed) else error
+            return str(cause) if isinstance(cause, ArmctlError) else described(cause)
+        finally:
+            close(actors)
+    return None
 
 
 def unusable_agents(env: str) -> dict[str, str]:

@@ -35,7 +35,7 @@ MIN_BUDGET = 50
 SEARCH = "search-{}"
 """Folder of a round's results."""
 NO_SUCCESS_SIGNAL = (
-    "{env} does not say what a success is, so that no failure can be searched: --success-return says which is one"
+    "{env} does not say what a success is, so that no failure can be searched: use --success-key or --success-return"
 )
 
 

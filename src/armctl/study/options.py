@@ -25,8 +25,10 @@ class StudyOptions(TypedDict, total=False):
     `armctl.runtime.isolation`). Its episodes are the same, and decision times are measured in that process. Installed
     policies that see the true state play as ever, and are named; others that see it are refused."""
     timeout: float | None
-    """Time (s) that a policy in another process may take for an answer: by default, 10 for a server or another Python,
-    300 for an isolated one. A policy in this process cannot be interrupted."""
+    """Time (s) that one call may take: a policy's decision or reset, in all worlds that it plays at once, and a step or
+    reset of the environment. By default, 10 for a server or another Python, 300 for an isolated policy, and any in this
+    process (see `armctl.core.time_limit`). A policy that takes longer ends, and its finished episodes stay; an
+    isolated one loses the episode."""
     filter: bool
     """Play each policy behind the safety filter, as `filtered(NAME)` (see `armctl.policies.filtered`)."""
     until: Literal["decided"] | None

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from armctl.core.errors import ArmctlError, ConfigurationError, unknown_name
-from armctl.core.registration import bare_id, environment_names, remember_named
+from armctl.core.errors import ConfigurationError, unknown_name
+from armctl.core.registration import bare_id, remember_named
 from armctl.core.seeds import Seed, evaluation_seed
 from armctl.envs import full_id, make_worlds
 from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
@@ -30,8 +30,8 @@ from armctl.study.axis import Axis
 from armctl.study.grid import Grid
 from armctl.study.grids import Pairs, checked_grids
 from armctl.study.levels import Disturbances, checked_levels, disturbance_specs
-from armctl.study.line_up import FULL, QUICK, default_policies, line_up, main_disturbances, unusable_agents
-from armctl.study.names import COMPARISON, FROM_UNDISTURBED, SUITE, SWEEP, setting_name, task_name
+from armctl.study.line_up import default_policies
+from armctl.study.names import COMPARISON, FROM_UNDISTURBED, SUITE, SWEEP, setting_name
 from armctl.study.options import (
     ComparisonOptions,
     StudyOptions,
@@ -40,8 +40,6 @@ from armctl.study.options import (
     environment_options,
 )
 
-ALL = "all"
-"""Name for all environments of all installed packages."""
 DECIDED = "decided"
 """Condition at which a comparison may stop: its verdict is no longer undecided."""
 ONLY_PLAYER = "{name} plays alone, so that there is nothing to decide"
@@ -124,7 +122,7 @@ class Plan:
     isolate: bool = False
     """True if each policy plays in a process of its own."""
     timeout: float | None = None
-    """Time (s) that a policy in another process may take for an answer; None: the default of its kind."""
+    """Time (s) that a call of a policy or environment may take; None: the default of its kind."""
     baseline: str | None = None
     margin: float = MARGIN
     until_decided: bool = False
@@ -134,6 +132,8 @@ class Plan:
     """All environments that were requested."""
     failures: Mapping[str, str] = field(default_factory=dict)
     """Reasons why environments cannot be played, or not by all of their agents, by environment."""
+    misfits: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """Reasons why requested policies do not play, by environment and policy."""
 
     @property
     def cells(self) -> list[Cell]:
@@ -207,38 +207,8 @@ def sweep_plan(
     shared = extent(episodes, evaluation_seed(seed), options)
     cell = undisturbed_cell(policies, env, options)
     _check_decidable(cell, shared)
-    task = _task_plan(
-        cell, {} if pairs and disturbances is None else disturbances, options.get("real_time"), "", shared
-    )
+    task = task_plan(cell, {} if pairs and disturbances is None else disturbances, options.get("real_time"), "", shared)
     return Plan(SWEEP, [_with_grids(task, pairs)], **shared, envs=[task.env])
-
-
-def suite_plan(envs: Sequence[str], quick: bool, episodes: int | None, seed: Seed, options: StudyOptions) -> Plan:
-    """Plan the cells of several tasks. A task that cannot be played is among the failures.
-
-    Raises `ConfigurationError`.
-    """
-    checked_options(options, StudyOptions)
-    size = QUICK if quick else FULL
-    shared = extent(size.episodes if episodes is None else episodes, evaluation_seed(seed), options)
-    requested = [name for env in envs for name in (environment_names() if env == ALL else [env])]
-    by_name = {task_name(env): env for env in dict.fromkeys(map(full_id, requested))}
-    if not by_name or len(by_name) < len(set(map(full_id, requested))):
-        raise ConfigurationError(f"a suite needs environments of different names, not {', '.join(requested) or 'none'}")
-    tasks: list[TaskPlan] = []
-    failures: dict[str, str] = {}
-    for name, env in by_name.items():
-        try:
-            filtered: TaskOptions = {"filter": options.get("filter", False)}
-            undisturbed = undisturbed_cell(line_up(env, size.one_of_each_kind), env, filtered)
-            tasks.append(_task_plan(undisturbed, main_disturbances(env, size), None, f"{name}/", shared))
-            unusable = unusable_agents(env)
-        except ArmctlError as error:
-            failures[env] = str(error)
-            continue
-        if unusable:
-            failures[env] = "; ".join(f"{agent} was left out: {why}" for agent, why in unusable.items())
-    return Plan(SUITE, tasks, **shared, quick=quick, envs=[*by_name.values()], failures=failures)
 
 
 def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
@@ -246,7 +216,7 @@ def extent(episodes: int, seed: int, options: StudyOptions) -> dict[str, Any]:
     num_envs, workers = options.get("worlds", 1), options.get("workers", 1)
     check_counts(episodes=episodes, worlds=num_envs)
     if (timeout := options.get("timeout")) is not None and not 0 < timeout < math.inf:
-        raise ConfigurationError(f"the time-out of a policy in another process is more than 0 s, not {timeout:g} s")
+        raise ConfigurationError(f"the time-out of a call is more than 0 s, not {timeout:g} s")
     if (until := options.get("until")) not in (None, DECIDED):
         raise unknown_name("condition to stop at (until)", str(until), [DECIDED])
     return {
@@ -283,7 +253,7 @@ def _filtered(policies: Mapping[str, Any]) -> dict[str, Any]:
     return filtered
 
 
-def _task_plan(
+def task_plan(
     undisturbed: Cell, disturbances: Disturbances, real_time: str | Path | None, prefix: str, shared: Mapping[str, Any]
 ) -> TaskPlan:
     """Plan the undisturbed cell, and those of the disturbances; their names begin with the `prefix`."""

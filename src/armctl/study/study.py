@@ -1,7 +1,8 @@
 """The result of a study: tasks, and the cells of each."""
 
 import functools
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
@@ -42,6 +43,8 @@ class Study(Displayed):
 
     A task that was played without a damaged agent is in both."""
     interrupted: bool
+    misfits: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """Reasons why requested policies did not play, by environment and policy."""
 
     @classmethod
     def of(cls, plan: "Plan") -> "Study":
@@ -52,7 +55,8 @@ class Study(Displayed):
             )
             for task in plan.tasks
         }
-        return cls(plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick, tasks, dict(plan.failures), False)
+        requested = plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick
+        return cls(*requested, tasks, dict(plan.failures), False, plan.misfits)
 
     @property
     def cells(self) -> dict[str, Comparison]:
@@ -107,6 +111,15 @@ class Study(Displayed):
             messages += [f"{bare_id(env)}, {name}: {why}" for name, why in swept.failures.items()]
         return messages
 
+    @property
+    def notes(self) -> list[str]:
+        """Remarks on policies that did not play."""
+        return [
+            f"{policy} does not play in {bare_id(env)}: {why}"
+            for env, reasons in self.misfits.items()
+            for policy, why in reasons.items()
+        ]
+
     def document(self) -> Document:
         """Return the headline, the verdict on each task, a table of the tasks, and the ranks of families."""
         parts: list[Table | Remark] = []
@@ -119,6 +132,7 @@ class Study(Displayed):
                 parts.append(Remark(f"{verdict.task}: {verdict.verdict}.", "verdict"))
                 parts += [Remark(verdict.context)] if verdict.context else []
         parts += [rank_table(league) for league in self.leagues]
+        parts += [Remark(note, "note") for note in self.notes]
         parts += [Remark(problem, "problem") for problem in self.problems]
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
@@ -132,7 +146,9 @@ class Study(Displayed):
             | {name: [asdict(part) for part in getattr(swept, name)] for name in ("grids", "axes")}
             for env, swept in self.tasks.items()
         }
-        about = {name: getattr(self, name) for name in ("kind", "seed", "episodes", "envs", "quick", "failures")}
+        about = {
+            name: getattr(self, name) for name in ("kind", "seed", "episodes", "envs", "quick", "failures", "misfits")
+        }
         return {**about, "interrupted": self.interrupted, "tasks": tasks}
 
     def __repr__(self) -> str:

@@ -12,9 +12,10 @@ from armctl.study.comparison import Comparison
 from armctl.study.grids import Pairs
 from armctl.study.levels import Disturbances
 from armctl.study.options import ComparisonOptions, StudyOptions, TaskOptions
-from armctl.study.plan import ALL, comparison_plan, suite_plan, sweep_plan
+from armctl.study.plan import comparison_plan, sweep_plan
 from armctl.study.run import play
 from armctl.study.study import Study
+from armctl.study.suite_plan import ALL, suite_plan
 from armctl.study.task_results import Sweep
 
 
@@ -94,6 +95,7 @@ def sweep(
 def suite(
     envs: Sequence[str] = (ALL,),
     *,
+    policies: Any = (),
     quick: bool = False,
     episodes: int | None = None,
     seed: Seed = 0,
@@ -105,7 +107,9 @@ def suite(
 
     `envs` are environments; `all`, the default, means those of all installed packages. Of each, the task's default
     line-up plays, every installed expert that fits, and every installed agent whose card names the environment; random
-    actions play only where there is nothing else. With `quick`, only a task's first expert and first
+    actions play only where there is nothing else. `policies` are further ones, of any of the forms that `compare`
+    takes: each plays in the tasks in whose first control step it can act, and `misfits` says why not in others. With
+    `quick`, only a task's first expert and first
     agent play, undisturbed and with delay (`line_up.QUICK`). `episodes` is the number of episodes in each setting.
 
     `out` gets one `results.sqlite` for all tasks. After an interrupt, the same call resumes. A task that cannot be
@@ -116,6 +120,6 @@ def suite(
     Raises `ConfigurationError` for unusable arguments, and `ResultsError` if `out` cannot be written to, or holds a
     suite of another seed or of further tasks (unless `overwrite`).
     """
-    plan = suite_plan(envs, quick, episodes, seed, options)
+    plan = suite_plan(envs, quick, episodes, seed, options, policies)
     total = plan.total
     return play(plan, out, options, lambda cell, result: progress(cell.name, total) if progress else None)
