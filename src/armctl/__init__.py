@@ -1,15 +1,22 @@
 """armctl: planners and controllers against learned agents, on the same robot episodes.
 
-Importing it registers the environments with Gymnasium. The library's functions load on first use.
+Importing it registers the environments with Gymnasium, as soon as that is imported too: controllers of a robot load
+without it. The library's functions load on first use.
 """
 
 import contextlib
 import ctypes
+import functools
 import importlib
+import importlib.abc
 import importlib.metadata
+import importlib.util
 import os
 import sys
 import warnings
+from collections.abc import Callable, Sequence
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import Any
 
 __version__ = "0.1.0"
@@ -71,6 +78,33 @@ def _warn_of_namesake() -> None:
         )
 
 
+def _register() -> None:
+    importlib.import_module("armctl.core.registration").register_installed()
+
+
+class _AfterGymnasium(importlib.abc.MetaPathFinder):
+    """Registers the environments right after Gymnasium has been imported."""
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Return Gymnasium's spec with a loader that registers, too; None for any other module."""
+        if name != "gymnasium":
+            return None
+        others = (finder for finder in sys.meta_path if finder is not self)
+        spec = next(filter(None, (finder.find_spec(name, path, target) for finder in others)), None)
+        if spec is not None and spec.loader is not None:
+            spec.loader.exec_module = functools.partial(self._load, spec.loader.exec_module)  # type: ignore[method-assign]
+        return spec
+
+    def _load(self, load: Callable[[ModuleType], None], module: ModuleType) -> None:
+        load(module)
+        if self in sys.meta_path:
+            sys.meta_path.remove(self)
+            _register()
+
+
 _choose_graphics()
 _warn_of_namesake()
-importlib.import_module("armctl.core.registration").register_installed()
+if "gymnasium" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _AfterGymnasium())

@@ -1,24 +1,32 @@
-"""Options: dataclasses that check what they are given, and how options are written as text."""
+"""Options: dataclasses that check what they are given, and how options are written as text.
+
+Pydantic checks them. It is loaded with the first value to check: defaults need no check, and take no time.
+"""
 
 import ast
 import dataclasses
 import functools
 import re
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
 
-import pydantic
-from pydantic import ConfigDict, Field, ValidationError
+from annotated_types import Ge, Gt, Le
 
 from armctl.core.errors import ConfigurationError, UnknownOption, unknown_name
 
-Options = TypeVar("Options")
-Model = TypeVar("Model", bound=pydantic.BaseModel)
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
 
-Count = Annotated[int, Field(ge=1)]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
+Options = TypeVar("Options")
+Model = TypeVar("Model", bound="BaseModel")
+
+Count = Annotated[int, Ge(1)]
+Natural = Annotated[int, Ge(0)]
+Positive = Annotated[float, Gt(0)]
+NonNegative = Annotated[float, Ge(0)]
+Share = Annotated[float, Ge(0), Le(1)]
+CHECKS = {"strict": True, "arbitrary_types_allowed": True, "allow_inf_nan": False}
+"""Pydantic's configuration."""
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
@@ -27,19 +35,33 @@ def options(cls: type[Options]) -> type[Options]:
 
     A wrong value raises `ConfigurationError`, which names the option, what is allowed, and the value.
     """
-    config = ConfigDict(strict=True, arbitrary_types_allowed=True, allow_inf_nan=False)
-    dataclass: Any = pydantic.dataclasses.dataclass(cls, frozen=True, config=config)
-    checked = dataclass.__init__
+    unchecked: Any = dataclasses.dataclass(frozen=True)(cls)
+    unchecked.__pydantic_config__ = CHECKS
+    plain_init = unchecked.__init__
 
-    @functools.wraps(checked)
+    @functools.cache
+    def checked() -> Any:
+        from pydantic.dataclasses import dataclass
+
+        return dataclass(unchecked, frozen=True)
+
+    @functools.wraps(plain_init)
     def init(self: Any, *args: Any, **values: Any) -> None:
+        if not args and not values and not required:
+            plain_init(self)
+            return
+        from pydantic import ValidationError
+
         try:
-            checked(self, *args, **values)
+            self.__dict__.update(vars(checked()(*args, **values)))
         except ValidationError as error:
             raise _explained(error) from error
 
-    dataclass.__init__ = init
-    return dataclass  # type: ignore[no-any-return]
+    required = any(
+        field.default is field.default_factory is dataclasses.MISSING for field in dataclasses.fields(unchecked)
+    )
+    unchecked.__init__ = init
+    return unchecked  # type: ignore[no-any-return]
 
 
 def make_options(
@@ -60,6 +82,8 @@ def make_options(
 
 def checked_model(model: type[Model], values: Mapping[str, Any], description: str, source: str) -> Model:
     """Return a pydantic model of values from `source`, in messages `description`. Raises `ConfigurationError`."""
+    from pydantic import ValidationError
+
     for key in values:
         if key not in model.model_fields:
             raise unknown_name(f"key of a {description} in {source}:", key, model.model_fields)
@@ -104,7 +128,7 @@ def option_arguments(options: Mapping[str, Any]) -> list[str]:
     return arguments
 
 
-def _explained(error: ValidationError) -> ConfigurationError:
+def _explained(error: "ValidationError") -> ConfigurationError:
     first = error.errors()[0]
     if isinstance(raised := first.get("ctx", {}).get("error"), ConfigurationError):
         return raised

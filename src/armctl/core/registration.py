@@ -1,4 +1,4 @@
-"""Registration of tasks as environments, and code by its name. Light: it imports neither MuJoCo nor a task.
+"""Registration of tasks as environments, and code by its name. Light: it loads Gymnasium and tasks on use only.
 
 Code is named by the person at the keyboard or offered by an installed package, never named by a file.
 
@@ -20,8 +20,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import gymnasium
-
 from armctl.core.errors import FAILURES, ConfigurationError, described, missing_extra, unknown_name
 
 GROUP, PACKAGE = "armctl.tasks", "armctl."
@@ -40,6 +38,8 @@ def register(env_id: str, task: "str | type[Any]", *, max_episode_steps: int | N
         **options: values of the task's options that differ from its defaults.
 
     """
+    import gymnasium
+
     gymnasium.register(
         id=env_id,
         entry_point=ENV,
@@ -61,6 +61,8 @@ def short_name(env: str) -> str:
 
 def environment_names() -> list[str]:
     """Return ids of all environments that were made of tasks."""
+    import gymnasium
+
     return sorted(env_id for env_id, spec in gymnasium.registry.items() if spec.vector_entry_point == VECTOR_ENV)
 
 

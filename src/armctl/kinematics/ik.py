@@ -10,16 +10,15 @@ import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
 import pinocchio
 from numpy.typing import NDArray
-from pydantic import Field
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError, UnreachableTarget
-from armctl.core.options import Count, NonNegative, Positive, options
+from armctl.core.options import Count, Natural, NonNegative, Positive, options
 from armctl.kernels import ik as kernel
 from armctl.kinematics.closed_forms import ClosedForm, seven_joints, six_joints
 from armctl.kinematics.damped_least_squares import damped_step
@@ -47,7 +46,7 @@ class IkOptions:
     """Random starts of a numeric search, after the seed and home."""
     damping: NonNegative = 0.02
     """Levenberg-Marquardt damping per squared unit of residual."""
-    rng_seed: Annotated[int, Field(ge=0)] = 0
+    rng_seed: Natural = 0
     """Seed of the random starts: a search depends only on its arguments."""
     near: NonNegative = 0.1
     """Residual below which the seed is polished too: singular poses have more solutions than a closed form gives."""

@@ -11,13 +11,11 @@ with the time. Its solution has a closed form: every joint moves as far as time 
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from armctl.core.arrays import Array
-from armctl.core.options import Count, Positive, options
+from armctl.core.options import Count, Natural, Positive, options
 from armctl.kernels import reach
 from armctl.kinematics.ik import Ik
 from armctl.kinematics.model import ArmModel
@@ -31,20 +29,28 @@ FIRST_STEP, LAST_STEP = 0.2, 0.0005
 class MinimumTimeReachOptions:
     """Effort of the search."""
 
-    starts: Annotated[int, Field(ge=0)] = 48
+    starts: Natural = 48
     """Start configurations besides the current one: half of them around it, half anywhere."""
     spread: Positive = 1.5
     """rad: range of the start configurations around the current one."""
-    approach_iterations: Annotated[int, Field(ge=0)] = 10
+    approach_iterations: Natural = 10
     """Levenberg-Marquardt iterations from a start into the sphere."""
     refine_iterations: Count = 20
     """Linear programs that reduce the time."""
     path_spacing: Positive = 0.05
     """rad: distance between the configurations at which a path is checked for collisions."""
-    rng_seed: Annotated[int, Field(ge=0)] = 0
+    rng_seed: Natural = 0
 
 
-THOROUGH = MinimumTimeReachOptions(starts=96, refine_iterations=48)
+@options
+class ThoroughReachOptions(MinimumTimeReachOptions):
+    """More effort."""
+
+    starts: Natural = 96
+    refine_iterations: Count = 48
+
+
+THOROUGH = ThoroughReachOptions()
 """Options for a lower bound on time: as good as a general solver's best from many starts."""
 
 

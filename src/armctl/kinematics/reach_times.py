@@ -8,10 +8,10 @@ by a few linear programs. Obstacles are ignored.
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from annotated_types import Ge, Le
 
 from armctl.core.arrays import Array
-from armctl.core.options import Count, options
+from armctl.core.options import Count, Natural, options
 from armctl.kernels import reach
 from armctl.kernels.reach import Spheres
 from armctl.kinematics.model import ArmModel
@@ -27,11 +27,11 @@ REFINEMENTS = np.array((0.2, 0.13, 0.08, 0.05, 0.03, 0.02, 0.0))
 class ReachTimesOptions:
     """Effort per sphere."""
 
-    nearby: Annotated[int, Field(ge=2, le=CONFIGURATIONS)] = 256
+    nearby: Annotated[int, Ge(2), Le(CONFIGURATIONS)] = 256
     """Configurations with the end-effector nearest to the centre."""
     goals: Count = 32
     """Number of these, those reached earliest from home."""
-    iterations: Annotated[int, Field(ge=0)] = 3
+    iterations: Natural = 3
     """Levenberg-Marquardt iterations from these into the sphere."""
 
 
