@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from ruckig import InputParameter, OutputParameter, Ruckig, Synchronization
+from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as RuckigTrajectory
-from scipy.ndimage import uniform_filter1d
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
@@ -95,6 +94,13 @@ class JerkLimitedMotion:
         self._otg.calculate(self._problem(goal, np.zeros(self._dof)), trajectory)
         return goal + _sampled(trajectory, step)
 
+    def stop(self) -> RuckigTrajectory:
+        """Return the earliest stop of each joint from the commanded state, wherever that is."""
+        problem, trajectory = self._problem(np.zeros(self._dof), np.zeros(self._dof)), RuckigTrajectory(self._dof)
+        problem.control_interface = ControlInterface.Velocity
+        self._otg.calculate(problem, trajectory)
+        return trajectory
+
     def _problem(self, origin: Array, frame: Array) -> InputParameter:
         """Return the problem to come to rest at the `origin` (dof,) of a frame that moves at a velocity (dof,)."""
         problem = _problem(self.limits, Synchronization.No)
@@ -126,6 +132,8 @@ def along(limits: JointLimits, path: ArrayLike, pace: float = 1.0, stops: bool =
 
     Raises `ConfigurationError` for an invalid path, and for one outside the limits.
     """
+    from scipy.ndimage import uniform_filter1d  # a fifth of a second that point-to-point motions do not need
+
     corners = _checked(limits, np.asarray(path, dtype=float))
     if stops:
         corners = np.repeat(corners, [1, *[2] * (len(corners) - 2), 1], axis=0)
