@@ -163,6 +163,10 @@ class LogRequest:
         typer.Option(metavar="FILE", help="With `--blind`: also write which letter is which policy."),
     ] = None
     unblind: Annotated[bool, typer.Option("--unblind", help="End the log here: write the policies' names.")] = False
+    task: Annotated[
+        str,
+        typer.Option(help="Name of the task of a new log, to judge it beside others, such as a simulated one."),
+    ] = ""
 
 
 @verb
@@ -184,7 +188,8 @@ def log(request: LogRequest) -> None:
         raise ConfigurationError(f"there is no log {request.file}: name the policies to begin one")
     else:
         seed = secrets.randbelow(2**31) if request.seed is None else request.seed
-        trial_log = TrialLog.begin(request.file, names, request.episodes or 20, seed, request.blind, request.key)
+        episodes = request.episodes or 20
+        trial_log = TrialLog.begin(request.file, names, episodes, seed, request.blind, request.key, request.task)
     if not request.unblind:
         _ask(trial_log)
     if trial_log.blind and (trial_log.is_complete or request.unblind):

@@ -55,10 +55,19 @@ class TrialLog:
     """True while policies are letters."""
     rows: list[list[str]] = field(default_factory=list)
     """Trials so far, with `COLUMNS`."""
+    task: str = ""
+    """What is tried, as `judge` names it beside other tasks; empty: nothing else is judged with it."""
 
     @classmethod
     def begin(
-        cls, path: Path, policies: Sequence[str], episodes: int, seed: int, blind: bool, key: Path | None = None
+        cls,
+        path: Path,
+        policies: Sequence[str],
+        episodes: int,
+        seed: int,
+        blind: bool,
+        key: Path | None = None,
+        task: str = "",
     ) -> "TrialLog":
         """Make a log; with `key`, also a JSON file of the policies by letter. Raises `ConfigurationError`."""
         names = [" ".join(name.split()) for name in policies]
@@ -66,7 +75,7 @@ class TrialLog:
             raise ConfigurationError(f"a log needs from 2 to 26 policies of different names, not {', '.join(names)}")
         if not all(names) or not 1 <= episodes <= 10_000:
             raise ConfigurationError("a log needs names of policies, and from 1 to 10,000 initial conditions")
-        log = cls(path, names, episodes, seed, blind)
+        log = cls(path, names, episodes, seed, blind, task=" ".join(task.split()))
         with os_errors_as(f"{path} cannot be written"):
             if key is not None:
                 write_atomically(key, json.dumps(log.letters, indent=2) + "\n")
@@ -82,7 +91,9 @@ class TrialLog:
             plan = json.loads(header.removeprefix("#"))
             if plan[FORMAT] != VERSION:
                 raise ValueError(f"it has format {plan[FORMAT]}, not {VERSION}")
-            log = cls(path, plan["policies"], plan["episodes"], plan["seed"], plan["blind"])
+            log = cls(
+                path, plan["policies"], plan["episodes"], plan["seed"], plan["blind"], task=str(plan.get("task", ""))
+            )
             whole, newline, torn = body.rpartition("\n")
             columns, *log.rows = csv.reader(io.StringIO(whole + newline, newline=""), strict=True)
             if tuple(columns) != COLUMNS or any(len(row) != len(COLUMNS) for row in log.rows):
@@ -120,6 +131,8 @@ class TrialLog:
     def text(self) -> str:
         """Content of the file."""
         plan = {FORMAT: VERSION, "policies": list(self.policies), "episodes": self.episodes, "seed": self.seed}
+        if self.task:
+            plan["task"] = self.task
         lines = io.StringIO(newline="")
         csv.writer(lines, lineterminator="\n").writerows([COLUMNS, *self.rows])
         return f"#{json.dumps({**plan, 'blind': self.blind})}\n{lines.getvalue()}"

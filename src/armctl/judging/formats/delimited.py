@@ -44,7 +44,8 @@ def read(path: Path) -> list[Rows]:
     )  # fmt: skip
     if log.FORMAT in header or headings == [*log.COLUMNS]:  # also if the comment was deleted
         log.check_readable(source, header, len(rows))
-        return [replace(table, known=True, any_number=True)]
+        task = {"task": str(header["task"])} if header.get("task") else {}
+        return [replace(table, known=True, any_number=True, constants=task)]
     return [sb3.monitor(path, table, header) if "t_start" in header else table]
 
 
