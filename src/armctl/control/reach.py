@@ -78,14 +78,14 @@ class State(Enum):
     """Condition of the motion; `SetPoint.reason` says why."""
 
     WAITING = "waiting"
-    """At rest without a target, or until there is a plan."""
+    """Rest without a target, or until there is a plan."""
     MOVING = "moving"
     ARRIVED = "arrived"
     """The measured end-effector is within the tolerance of the target; the motion goes on to its middle."""
     STOPPING = "stopping"
     """Braking, since measurements have ended, or there is no target, or no safe motion to it."""
     BLOCKED = "blocked"
-    """At rest, since there is no safe motion to the target; it plans again from time to time."""
+    """Rest, since there is no safe motion to the target; it plans again from time to time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class SetPoint:
     acceleration: Array
     state: State
     reason: str = ""
-    """Why the arm does not move to the target; empty if it does."""
+    """Reason that the arm does not move to the target; empty if it does."""
 
 
 @dataclass(frozen=True, eq=False)
