@@ -37,7 +37,7 @@ LIMIT = 6.0
 
 @dataclass
 class Run:
-    """What was commanded and measured."""
+    """Commands and measurements of a loop."""
 
     points: list[Any] = field(default_factory=list)
     lateness: list[int] = field(default_factory=list)
