@@ -1,14 +1,17 @@
 """Runs the examples of pages in their order, each in a fork of this process, which has imported armctl already.
 
-So each begins as in a process of its own, but for the seconds of imports. Each line of standard input is a page: a JSON
-list of its folder, in which its examples work, and of their list: `["file", NAME, TEXT]`, `["python", CODE]` and
-`["command", WORD, ...]`. What they print goes to `printed.txt` beside the folder; the answer is a line with 0 if all
-went well. See `test_docs.py`.
+So each begins as in a process of its own, but for the seconds of imports; arguments name further modules to import.
+Each line of standard input is a page: a JSON list of its folder, in which its examples work, and of their list:
+`["file", NAME, TEXT]`, `["python", CODE]`, `["command", WORD, ...]`, `["script", FILE, WORD, ...]` and
+`["module", NAME, WORD, ...]`. What they print goes to `printed.txt` beside the folder; the answer is a line with 0 if
+all went well. See `page_runner.py`.
 """
 
+import gc
 import importlib
 import json
 import os
+import runpy
 import subprocess
 import sys
 import types
@@ -35,6 +38,22 @@ def command(*words):
     main()
 
 
+def script(file, *words):
+    """As `python FILE WORD ...`."""
+    sys.argv = [file, *words]
+    sys.path.insert(0, str(Path(file).parent))
+    runpy.run_path(file, run_name="__main__")
+
+
+def module(name, *words):
+    """As `python -m NAME WORD ...`."""
+    sys.argv = [name, *words]
+    runpy.run_module(name, run_name="__main__", alter_sys=True)
+
+
+RUNS = {"python": python, "command": command, "script": script, "module": module}
+
+
 def page(folder, steps):
     """Run a page's examples up to the first that fails."""
     with open(os.devnull) as nothing, Path(folder).with_name("printed.txt").open("w") as printed:
@@ -45,7 +64,7 @@ def page(folder, steps):
         print("+", *given, flush=True)
         if kind == "file":
             Path(given[0]).write_text(given[1])
-        elif status := apart({"python": python, "command": command}[kind], *given):
+        elif status := apart(RUNS[kind], *given):
             os._exit(status)
 
 
@@ -58,14 +77,23 @@ def apart(run, *given):
     return os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1])
 
 
-def warm_up():
+def warm_up(*names):
     """Import what most examples need, and load compiled kernels; but nothing that starts threads: forks lose them."""
-    for name in ("armctl.study.verbs", "armctl.tasks.reach.reach", "onnx", "plotly.graph_objects", "scipy.stats"):
+    for name in (
+        "armctl.study.verbs",
+        "armctl.tasks.reach.reach",
+        "onnx",
+        "plotly.graph_objects",
+        "scipy.stats",
+        *names,
+    ):
         importlib.import_module(name)
     armctl.Ik(armctl.ArmModel(armctl.load_arm("ur5")))
+    gc.collect()
+    gc.freeze()  # the end of each fork looks at no object again: half a second
 
 
 if __name__ == "__main__":
-    warm_up()
+    warm_up(*sys.argv[1:])
     for line in sys.stdin:
         print(apart(page, *json.loads(line)), flush=True)

@@ -8,10 +8,8 @@ commands are checked as far as they can be.
 
 import importlib
 import importlib.util
-import json
 import os
 import re
-import select
 import shlex
 import subprocess
 import sys
@@ -29,11 +27,11 @@ from armctl.core.registration import environment_names
 from armctl.policies import policy_names
 from armctl.training.learners import learner_names, load_recipe, recipe_names
 
+from .page_runner import SECONDS, page_runner
+
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 GROUPS = {f"armctl.{kind}" for kind in ("dataset_formats", "learners", "policies", "recipes", "tasks", "trackers")}
-SECONDS = 600
-"""That a page's examples may take."""
 
 
 def name_of(page):
@@ -97,17 +95,14 @@ def test_every_block_says_what_it_is(page):
 
 
 @pytest.fixture(scope="module")
-def runner():
-    """A process that runs pages: see `run_page.py`."""
-    command = [sys.executable, "-P", "-W", "error::DeprecationWarning", str(ROOT / "tests" / "run_page.py")]
-    env = os.environ | {"COLUMNS": "100"}
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env) as process:
-        yield process
+def run():
+    with page_runner("-W", "error::DeprecationWarning") as runner:
+        yield runner
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if to_run(page)], ids=name_of)
-def test_examples_run(page, tmp_path, runner):
+def test_examples_run(page, tmp_path, run):
     folder = tmp_path / "page"
     folder.mkdir()
     (folder / "docs").symlink_to(ROOT / "docs")
@@ -119,10 +114,7 @@ def test_examples_run(page, tmp_path, runner):
             steps.append(("python", text))
         else:
             steps += [("command", *words) for words in commands(text)]
-    print(json.dumps([str(folder), steps]), file=runner.stdin, flush=True)
-    has_ended, _, _ = select.select([runner.stdout], [], [], SECONDS)
-    status = runner.stdout.readline() if has_ended else runner.kill()
-    assert status == "0\n", (tmp_path / "printed.txt").read_text()[-6000:]
+    run(folder, steps)
 
 
 @each_page

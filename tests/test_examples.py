@@ -1,9 +1,8 @@
 """Each example runs, and says how it did on episodes that it was not trained on; the zoo's files train agents."""
 
-import os
 import re
 import runpy
-import subprocess
+import shutil
 import sys
 from pathlib import Path
 
@@ -13,14 +12,27 @@ import armctl
 from armctl.core.seeds import TRAINING_SEEDS
 
 from . import command_line
+from .page_runner import page_runner
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py") if "from held_out import" in path.read_text())
 """Those that train; `test_real_arm.py` has the others."""
-STEPS = {"cleanrl_unmodified": 2_100, "sb3_sac_her": 2_100}
+STEPS = {"sb3_sac_her": 2_100}
 """Of training: no more than 300, but to where it begins to learn."""
-SECONDS = 300
+FEWER = {
+    "cleanrl_unmodified": {'"--cuda=False",': '"--cuda=False", "--num-steps=128",'},
+    "minari_imitation_bc": {"episodes=500": "episodes=50"},
+    "one_file_ppo": {"rollout_length: int = 128": "rollout_length: int = 16"},
+    "sb3_contrib_recurrent_ppo": {"n_steps=128": "n_steps=16"},
+    "sb3_ppo": {'"n_steps": 128': '"n_steps": 16'},
+    "sb3_ppo_bridge_cnn": {"n_steps=64": "n_steps=8"},
+    "sbx_ppo": {'"n_steps": 128': '"n_steps": 16', '"learning_starts": 1_000': '"learning_starts": 256'},
+    "skrl_ppo": {"ROLLOUT, GAMMA = 16, 128": "ROLLOUT, GAMMA = 16, 16"},
+    "torchrl_ppo": {"ROLLOUT, GAMMA = 16, 128": "ROLLOUT, GAMMA = 16, 16"},
+    "ppo": {"n_steps: 128": "n_steps: 16"},
+}
+"""Numbers of the examples and of the zoo, so that a short training learns too."""
 ZOO = {
     "ppo": "--set actions=normalized --set control=relative --set observation=features",
     "sac": "--set actions=normalized --set control=relative --set observation=features --set goal=True",
@@ -28,38 +40,54 @@ ZOO = {
 """The options that the files of `rl/zoo/` give to the environment, as `armctl export` takes them."""
 
 
-def run(folder, *words):
+@pytest.fixture(scope="module")
+def run():
+    """Run examples, each in a fork of a process that has imported what most of them import."""
     quick_to_compile = "--xla_backend_optimization_level=0"  # what JAX runs a few times only
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "COLUMNS": "100", "XLA_FLAGS": quick_to_compile}
-    done = subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=SECONDS
-    )
-    assert done.returncode == 0, done.stdout[-1000:] + done.stderr[-3000:]
-    return done.stdout
+    imports = ("torch", "stable_baselines3", "armctl.integrations.sb3", "armctl.shaping")
+    with page_runner(imports=imports, OMP_NUM_THREADS="1", XLA_FLAGS=quick_to_compile) as runner:
+        yield runner
+
+
+def with_fewer(name, file, folder):
+    """Return the path of a copy with the numbers of `FEWER`."""
+    text = file.read_text()
+    for number, fewer in FEWER.get(name, {}).items():
+        assert number in text, number
+        text = text.replace(number, fewer)
+    copy = folder / file.name
+    copy.write_text(text)
+    return copy
+
+
+def printed_by(run, name, folder, *words):
+    script = with_fewer(name, EXAMPLES / f"{name}.py", folder)
+    shutil.copy(EXAMPLES / "held_out.py", folder)
+    return run(folder / "work", [["script", str(script), *words]])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_it_runs_and_says_its_success(name, tmp_path):
-    steps = str(STEPS.get(name, 300))
-    printed = run(tmp_path, EXAMPLES / f"{name}.py", "--steps", steps, "--episodes", "10")
+def test_it_runs_and_says_its_success(run, name, tmp_path):
+    printed = printed_by(run, name, tmp_path, "--steps", str(STEPS.get(name, 300)), "--episodes", "10")
     assert re.search(r"^success on 10 held-out episodes: [\d.]+% \[[\d.]+%, [\d.]+%\]$", printed, re.MULTILINE)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["SAC", "CrossQ"])
-def test_other_algorithms_of_sbx(algorithm, tmp_path):
-    words = ("--algorithm", algorithm, "--steps", "1040", "--episodes", "10")
-    assert "success on 10 held-out episodes" in run(tmp_path, EXAMPLES / "sbx_ppo.py", *words)
+def test_other_algorithms_of_sbx(run, algorithm, tmp_path):
+    words = ("--algorithm", algorithm, "--steps", "288", "--episodes", "10")
+    assert "success on 10 held-out episodes" in printed_by(run, "sbx_ppo", tmp_path, *words)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", list(ZOO))
-def test_the_zoo_trains_what_becomes_an_agent(algorithm, tmp_path):
-    settings, env = ROOT / "rl" / "zoo" / f"{algorithm}.yml", "armctl/ArmReach-v0"
-    train = f"--algo {algorithm} --env {env} --gym-packages armctl --n-timesteps 2100 --eval-freq -1 --seed {10**9}"
-    run(tmp_path, "-m", "rl_zoo3.train", *train.split(), "--conf-file", settings)
-    [model] = tmp_path.glob(f"logs/{algorithm}/*/armctl-ArmReach-v0.zip")
+def test_the_zoo_trains_what_becomes_an_agent(run, algorithm, tmp_path):
+    settings, env = with_fewer(algorithm, ROOT / "rl" / "zoo" / f"{algorithm}.yml", tmp_path), "armctl/ArmReach-v0"
+    steps = {"ppo": 300, "sac": 2_100}[algorithm]
+    train = f"--algo {algorithm} --env {env} --gym-packages armctl --n-timesteps {steps} --eval-freq -1 --seed {10**9}"
+    run(tmp_path / "work", [["module", "rl_zoo3.train", *train.split(), "--conf-file", str(settings)]])
+    [model] = tmp_path.glob(f"work/logs/{algorithm}/*/armctl-ArmReach-v0.zip")
     export = f"export {model} --env {env} {ZOO[algorithm]} --out agent.onnx --trust"
     command_line.armctl(*export.split(), cwd=tmp_path)
     played = armctl.evaluate(tmp_path / "agent.json", env, episodes=2, lower_bound_steps=False)
@@ -107,10 +135,10 @@ def test_the_page_lists_every_example():
 
 
 @pytest.mark.slow
-def test_the_matrix_tries_what_it_says():
+def test_the_matrix_tries_what_it_says(run, tmp_path):
     """One learner's row: the fastest."""
-    command = (ROOT / "benchmarks" / "learners.py", "--only", "Gymnasium", "--env", "armctl/ArmReach-v0")
-    row = run(ROOT, *command).split("Gymnasium alone, as CleanRL")[1]
+    script, *words = (str(ROOT / "benchmarks" / "learners.py"), "--only", "Gymnasium", "--env", "armctl/ArmReach-v0")
+    row = run(tmp_path / "work", [["script", script, *words]]).split("Gymnasium alone, as CleanRL")[1]
     assert row.count(" works ") == 4
 
 

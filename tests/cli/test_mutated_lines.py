@@ -214,20 +214,14 @@ def test_each_option_is_drawn():
         assert options - words <= {"--help", *ELSEWHERE}, verb
 
 
-@pytest.mark.one_case
-@pytest.mark.parametrize("verb", LINES)
-def test_a_valid_line_is_mostly_fine(run, verb, sized):
-    ended = [
-        run([verb, *(word for part in drawn(verb, random.Random(k)) for word in part)]) for k in range(sized(2, 8))
-    ]
+def valid_lines(run, verb, count):
+    ended = [run([verb, *(word for part in drawn(verb, random.Random(k)) for word in part)]) for k in range(count)]
     played = [status for status in ended if status < 2]  # 1: an agent differs from its card
     assert verb in REFUSED or len(played) > len(ended) / 2, ended
 
 
-@pytest.mark.one_case
-@pytest.mark.parametrize("verb", LINES)
-def test_a_line_with_one_part_changed_works_or_is_refused(run, verb, sized):
-    count, checks = sized(8, 10 if verb in SLOW else 25), list(HealthCheck)
+def changed_lines(run, verb, count):
+    checks = list(HealthCheck)
 
     @settings(max_examples=count, deadline=None, database=None, suppress_health_check=checks, derandomize=True)
     @given(st.integers(0, 2**63))
@@ -236,3 +230,22 @@ def test_a_line_with_one_part_changed_works_or_is_refused(run, verb, sized):
         run([verb, *mutated(drawn(verb, rng), rng)])
 
     each()
+
+
+@pytest.mark.one_case
+@pytest.mark.parametrize("verb", LINES)
+def test_a_valid_line_is_mostly_fine(run, verb):
+    valid_lines(run, verb, 2 if verb in SLOW else 3)
+
+
+@pytest.mark.one_case
+@pytest.mark.parametrize("verb", LINES)
+def test_a_line_with_one_part_changed_works_or_is_refused(run, verb):
+    changed_lines(run, verb, 3 if verb in SLOW else 8)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("verb", LINES)
+def test_many_lines_valid_and_changed(run, verb):
+    valid_lines(run, verb, 8 if verb in SLOW else 20)
+    changed_lines(run, verb, 25 if verb in SLOW else 100)

@@ -65,7 +65,8 @@ def free_port():
 
 
 def until(ready, what):
-    deadline = time.monotonic() + 120
+    """Wait for a server: on a busy machine the imports of Ray's head alone take minutes."""
+    deadline = time.monotonic() + 600
     while not ready():
         assert time.monotonic() < deadline, what
         time.sleep(0.2)
