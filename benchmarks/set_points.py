@@ -22,8 +22,9 @@ from printing import progress, show, versioned_table
 
 from armctl.control.reach import ReachController, ReachControllerOptions, State
 from armctl.envs import make_worlds
-from armctl.kinematics import Workspace
+from armctl.kinematics import ArmModel, Workspace
 from armctl.policies import make_policy
+from armctl.robot_description import BUILTIN_ARMS
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 from fake_robot import PERIOD, FakeArm, Link
@@ -97,11 +98,11 @@ def loop(controller: ReachController, arm: FakeArm, run: Run, until: float, step
     return point
 
 
-def reaching(link: Link, rate: float, targets: Any, agent: Any = None) -> list[str]:
+def reaching(link: Link, rate: float, targets: Any, agent: Any = None, name: str = "ur5") -> list[str]:
     """Return a row on targets, each from home."""
     act = None if agent is None else lambda observation: agent.act(np.float32(observation)[None])[0]
-    controller = ReachController(options=ReachControllerOptions(rate=rate, background=False), act=act)
-    arm, run = FakeArm(link=link), Run()
+    controller = ReachController(name, ReachControllerOptions(rate=rate, background=False), act=act)
+    arm, run = FakeArm(name, link), Run()
     for target in targets:
         go_home(controller, arm, run)
         if agent is not None:
@@ -218,11 +219,16 @@ def act_with(controller: ReachController, goal: Any) -> None:
     controller._act = act
 
 
+def sampled(name: str, number: int, seed: int) -> list[Any]:
+    """Return places that an arm reaches, at least 0.2 m from its base and the floor."""
+    workspace, rng = Workspace(ArmModel(name)), np.random.default_rng(seed)
+    return [workspace.sample(rng, 0.2) for _ in range(number)]
+
+
 def main(targets: int = 20, seed: int = 300, real_time: float = 0.0) -> None:
     """Print the tables; the last one takes `real_time` (s) for each rate, on an idle machine."""
     gc.disable()
-    workspace, rng = Workspace(ReachController().model), np.random.default_rng(seed)
-    places = [workspace.sample(rng, 0.2) for _ in range(targets)]
+    places = sampled("ur5", targets, seed)
     reached = versioned_table(
         "set-points", "link", "reached", "late cycles, largest", "velocity", "acceleration", "jerk",
         "arm's velocity", "off the set-point, rad", "off the delayed one, rad", "ms of a step: mean, 99 %, max",
@@ -232,6 +238,10 @@ def main(targets: int = 20, seed: int = 300, real_time: float = 0.0) -> None:
         reached.add_row(f"planned, {rate} Hz", name, *reaching(link, rate, places))
     for rate in (500, 125):
         reached.add_row(f"`reach_ppo`, {rate} Hz", "usual", *reaching(USUAL, rate, places, agent))
+    for name in BUILTIN_ARMS:
+        if name != "ur5":
+            row = reaching(USUAL, 125, sampled(name, targets, seed), name=name)
+            reached.add_row(f"planned, 125 Hz, `{name}`", "usual", *row)
     happened = versioned_table("half a second after the start", "outcome", "brakes for", "velocity", "acceleration",
                                "jerk")  # fmt: skip
     for row in faults(places):

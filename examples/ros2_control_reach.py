@@ -43,6 +43,8 @@ def node_class() -> type[Any]:
             names = list(message.name)
             if not set(self.session.joints) <= set(names):
                 return  # of another part of the robot
+            if len(message.velocity) < len(names):
+                raise SystemExit(f"{STATES} has no velocities")
             order = [names.index(joint) for joint in self.session.joints]
             stamp = message.header.stamp
             self.measurement = (

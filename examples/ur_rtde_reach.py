@@ -43,9 +43,9 @@ def play(control: Any, receive: Any, session: Trials, period: float) -> None:
             q, qd = receive.getActualQ(), receive.getActualQd()
             point = session.step(q, qd, receive.getTimestamp())
             if point is not None:
-                control.servoJ(
-                    point.position.tolist(), 0.0, 0.0, period, LOOKAHEAD, GAIN
-                )
+                q = point.position.tolist()
+                if not control.servoJ(q, 0.0, 0.0, period, LOOKAHEAD, GAIN):
+                    raise SystemExit("the robot takes no set-points any more")
             control.waitPeriod(began)
     finally:
         control.servoStop(CONTROLLER_STOP)

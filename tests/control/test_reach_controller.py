@@ -7,6 +7,8 @@ import pytest
 
 from armctl.control.reach import ReachController, ReachControllerOptions, State
 from armctl.core.errors import ConfigurationError
+from armctl.kinematics.clearance import Clearance
+from armctl.scene import Boxes
 
 TARGETS = np.array([[0.4, 0.2, 0.5], [-0.3, 0.5, 0.4], [0.1, -0.5, 0.3]])
 UNREACHABLE = np.array([2.0, 0.0, 0.5])
@@ -14,7 +16,8 @@ ROUND_OFF = 1e-6
 
 
 def controller(act=None, boxes=None, **options):
-    return ReachController("ur5", ReachControllerOptions(**{"rate": 125.0, "background": False, **options}), act=act)
+    chosen = ReachControllerOptions(**{"rate": 125.0, "background": False, **options})
+    return ReachController("ur5", chosen, act=act, **({} if boxes is None else {"boxes": boxes}))
 
 
 def follow(arm, target, steps, stop_when=None):
@@ -47,6 +50,7 @@ def assert_limits_are_kept(arm, points):
     assert (np.abs(np.diff(position, axis=0) - period * means) <= largest + ROUND_OFF).all()
     assert (position >= limits.lower - ROUND_OFF).all()
     assert (position <= limits.upper + ROUND_OFF).all()
+    assert (Clearance(arm.model, options.margin).min_distances(position) >= options.margin - ROUND_OFF).all()
     assert arm.model.are_free(position).all()
 
 
@@ -71,9 +75,11 @@ def test_it_stays_beside_a_target_that_moves():
 
 
 def test_no_goals_lead_out_of_the_limits_or_into_anything():
-    """Those of a raging agent, which are anywhere, also in the floor and in the arm itself."""
+    """Those of a raging agent, which are anywhere, also in the floor, in a box and in the arm itself."""
     rng, workspace = np.random.default_rng(0), ((-0.7, -0.7, 0.1), (0.7, 0.7, 0.9))
-    arm = controller(lambda _: rng.uniform(-3.0, 3.0, 6), velocity=1.0, acceleration=1.0, jerk=1.0, workspace=workspace)
+    box = Boxes(np.array([[0.5, 0.5, 0.3]]), np.array([[0.1, 0.2, 0.3]]), np.array([0.3]))
+    options = {"velocity": 1.0, "acceleration": 1.0, "jerk": 1.0, "workspace": workspace}
+    arm = controller(lambda _: rng.uniform(-3.0, 3.0, 6), box, **options)
     points = follow(arm, TARGETS[0], 1500)
     points += follow(arm, None, 200, State.WAITING)
     assert points[-1].state is State.WAITING

@@ -1,7 +1,7 @@
 """A jerk-limited motion that can always be stopped: behind each state of it lies a stop that was checked beforehand.
 
 A state is commanded only if the earliest stop from it, within the limits of acceleration and jerk, keeps the limits of
-position and the workspace, and touches neither the arm, the floor nor a box. Otherwise the joints execute the stop of
+position, the workspace, and a margin from the arm itself, the floor and boxes. Otherwise the joints execute the stop of
 the state before. By induction there is always such a stop, whatever the goals are: the braking back-up of a predictive
 safety filter (Wabersich and Zeilinger, Automatica 129, 2021), for set-points instead of drives.
 """
@@ -14,13 +14,14 @@ from ruckig import RuckigError
 
 from armctl.control.trajectory import JerkLimitedMotion
 from armctl.core.arrays import Array
+from armctl.kinematics.clearance import Clearance
 from armctl.kinematics.model import ArmModel
 from armctl.robot_description import JointLimits
 
 SPACING = 0.05
 """rad: largest distance between the configurations of a motion that are checked."""
 SLACK = 1e-6
-"""rad: round-off by which a commanded position may exceed its limit."""
+"""rad, and m: round-off by which a commanded position may exceed its limit."""
 AT_REST = 1e-6
 """rad/s and rad/s^2."""
 
@@ -29,16 +30,31 @@ Workspace = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 class GuardedMotion:
-    """The commanded motion of one arm, a period (s) at a time."""
+    """The commanded motion of one arm, a period (s) at a time.
 
-    def __init__(self, model: ArmModel, limits: JointLimits, period: float, workspace: Workspace | None = None) -> None:
+    Its links keep `margin` (m) from each other and everything else, as `Clearance` measures it, or as much as they have
+    where the motion begins.
+    """
+
+    def __init__(
+        self,
+        model: ArmModel,
+        limits: JointLimits,
+        period: float,
+        workspace: Workspace | None = None,
+        margin: float = 0.0,
+    ) -> None:
         self.model, self.limits, self.period, self.workspace = model, limits, period, workspace
+        self._clearance, self._margin = Clearance(model, margin), margin
         self._motion = JerkLimitedMotion(limits, period, model.home)
         self.restart(model.home)
 
     def restart(self, position: ArrayLike) -> None:
         """Begin anew, at rest at `position` (dof,) rad."""
         self._motion.restart(position)
+        distance = float(self._clearance.min_distances(np.array(position, dtype=float)[None])[0])
+        self.margin = min(self._margin, distance - SLACK)
+        """m; below 0 where links touch by the model: they may come no nearer."""
         self._stop, self._since = self._motion.stop(), 0.0
 
     @property
@@ -78,7 +94,8 @@ class GuardedMotion:
     def is_allowed(self, q: Array) -> bool:
         """Return True if the arm may be at all of q (m, dof)."""
         inside = (q >= self.limits.lower - SLACK) & (q <= self.limits.upper + SLACK)
-        if not (inside.all() and self.model.are_free(q).all()):
+        is_clear = (self._clearance.min_distances(q) >= self.margin).all()
+        if not (inside.all() and is_clear and (self.margin < 0 or self.model.are_free(q).all())):
             return False
         if self.workspace is None:
             return True

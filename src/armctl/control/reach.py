@@ -64,6 +64,8 @@ class ReachControllerOptions:
     """m: largest distance of the end-effector from a target that counts as reached."""
     workspace: Workspace | None = None
     """Lowest and highest corner (x, y, z) of a box that the end-effector stays in, m; None: all above the floor."""
+    margin: Positive = 0.02
+    """m that links keep from each other, the floor and boxes; half of their distance at home if that is less."""
     max_age: Positive = 0.05
     """s without a new measurement after which the arm stops."""
     following_error: Positive = 0.1
@@ -127,7 +129,7 @@ class ReachController:
         self.options = chosen = options or ReachControllerOptions()
         self.model, self.period = ArmModel(arm).among(boxes), 1 / chosen.rate
         limits = scaled(self.model.limits, chosen.velocity, chosen.acceleration, chosen.jerk)
-        self._motion = GuardedMotion(self.model, limits, self.period, chosen.workspace)
+        self._motion = GuardedMotion(self.model, limits, self.period, chosen.workspace, chosen.margin)
         self._watchdog = Watchdog(
             self.model.limits, self.period,
             max_age=chosen.max_age, following_error=chosen.following_error, delay=chosen.delay,
@@ -135,7 +137,7 @@ class ReachController:
         self._act = act
         planner = self.model.among(boxes)  # of its own: models are not thread-safe
         self._search = MinimumTimeReach(planner)
-        self._preview = GuardedMotion(planner, limits, self.period, chosen.workspace)
+        self._preview = GuardedMotion(planner, limits, self.period, chosen.workspace, chosen.margin)
         self._executor: Executor | None = ThreadPoolExecutor(1, "planner") if chosen.background else None
         for place in (self.model.position(self.model.home), np.full(3, FAR)):  # compiles what a plan needs
             self._choose(self._motion.state, place)
@@ -161,7 +163,8 @@ class ReachController:
         if np.abs(velocity).max() > STILL:
             raise ConfigurationError(f"the arm should begin at rest; its joints move at {velocity} rad/s")
         position = np.clip(position, self.model.limits.lower, self.model.limits.upper)
-        self._motion.restart(position)
+        for motion in (self._motion, self._preview):
+            motion.restart(position)
         self._watchdog.restart(position)
         self._is_running = True
 
@@ -211,7 +214,10 @@ class ReachController:
         if goal is None:
             self._motion.brake()
         elif not self._motion.towards(goal):
-            goal, reason = None, "the motion is no longer safe: the arm would leave its limits or touch something"
+            goal, reason = (
+                None,
+                "the motion is no longer safe: the arm would leave its limits or come too near to something",
+            )
             self._refused, self._plan, self._retry = reason, None, self._ticks + round(PATIENCE / self.period)
         self._watchdog.commanded(self._motion.state[0])
         return SetPoint(*self._motion.state, *self._state(goal, reason, target))
