@@ -222,7 +222,7 @@ def install_ros(arm: FakeArm) -> None:
     """Put modules with the calls of rclpy and ROS 2's messages that a node needs in the places of the real ones."""
     ros = Ros(arm)
     names = {
-        "rclpy": {"init": ros.init, "ok": ros.ok, "spin": ros.spin,
+        "rclpy": {"init": ros.init, "ok": ros.ok, "spin_once": ros.spin_once,
                   "shutdown": ros.shutdown},
         "rclpy.node": {"Node": type("Node", (Node,), {"ros": ros})},
         "sensor_msgs.msg": {"JointState": types.SimpleNamespace},
@@ -252,22 +252,21 @@ class Ros:
         return self._is_up
 
     def shutdown(self) -> None:
-        """End `spin`."""
+        """End."""
         self._is_up = False
 
-    def spin(self, node: "Node") -> None:
-        """Deliver messages and call timers until `shutdown`."""
-        while self._is_up:
-            self.arm.wait(1)
-            stamp, q, qd = self.arm.measured
-            if stamp != self._stamp and "/joint_states" in self.subscribers:
-                self._stamp = stamp
-                self.subscribers["/joint_states"](self._message(stamp, q, qd))
-            for timer in self.timers:
-                period, due, call = timer
-                if self.arm.time >= due:
-                    timer[1] = max(due + period, self.arm.time)
-                    call()
+    def spin_once(self, node: "Node") -> None:
+        """Let a cycle pass, deliver its messages and call timers that are due."""
+        self.arm.wait(1)
+        stamp, q, qd = self.arm.measured
+        if stamp != self._stamp and "/joint_states" in self.subscribers:
+            self._stamp = stamp
+            self.subscribers["/joint_states"](self._message(stamp, q, qd))
+        for timer in self.timers:
+            period, due, call = timer
+            if self.arm.time >= due:
+                timer[1] = max(due + period, self.arm.time)
+                call()
 
     def publish(self, topic: str, message: Any) -> None:
         """Send a set-point to the arm."""

@@ -20,7 +20,6 @@ COMMANDS = "/forward_position_controller/commands"
 
 def node_class() -> type[Any]:
     """Return the class of the node, when ROS can be imported."""
-    import rclpy
     from rclpy.node import Node
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
@@ -54,14 +53,12 @@ def node_class() -> type[Any]:
             )
 
         def on_timer(self) -> None:
-            """Send a set-point, or end."""
+            """Send a set-point."""
             point = self.session.step(*self.measurement)
             if point is not None:
                 message = Float64MultiArray()
                 message.data = point.position.tolist()
                 self.commands.publish(message)
-            if self.session.is_over:
-                rclpy.shutdown()
 
     return ReachNode
 
@@ -82,7 +79,11 @@ def main(words: list[str] | None = None) -> None:
     rclpy.init()
     session = trials(given)
     gc.disable()  # a collection would take 0.1 s of a cycle
-    rclpy.spin(node_class()(session, 1 / given.rate))
+    node = node_class()(session, 1 / given.rate)
+    while rclpy.ok() and not session.is_over:
+        rclpy.spin_once(node)
+    node.destroy_node()
+    rclpy.shutdown()
     if session.fault:
         raise SystemExit(f"the trials ended by a fault: {session.fault}")
     print(f"armctl judge {given.log}")

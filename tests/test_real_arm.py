@@ -1,6 +1,7 @@
 """The examples for real arms, with simulated ones that take the same calls, lose messages and fail."""
 
 import csv
+import gc
 import sys
 from pathlib import Path
 
@@ -16,10 +17,12 @@ ROS = ("rclpy", "rclpy.node", "sensor_msgs", "sensor_msgs.msg", "std_msgs", "std
 
 @pytest.fixture
 def examples(monkeypatch):
-    """Make the examples importable, and forget what they put in the places of ROS's modules."""
+    """Make the examples importable, and undo what they do to the process: ROS's modules, garbage collection."""
     monkeypatch.syspath_prepend(EXAMPLES)
     for name in ROS:
         monkeypatch.setitem(sys.modules, name, None)
+    yield
+    gc.enable()
 
 
 def logged(path):

@@ -195,6 +195,17 @@ def test_set_points_do_not_wait_for_a_plan():
     arm.close()
 
 
+@pytest.mark.parametrize("rate", [25.0, 125.0, 500.0])
+def test_an_agent_decides_25_times_a_second(rate):
+    decisions = []
+    arm = controller(lambda observation: decisions.append(observation) or observation[3:9], rate=rate)
+    follow(arm, TARGETS[0], round(rate))
+    assert 25 <= len(decisions) <= 26
+    position, joints, target = np.split(decisions[0], (3, 9))
+    np.testing.assert_allclose(position, arm.model.position(joints), atol=1e-9)
+    assert target.tolist() == TARGETS[0].tolist()
+
+
 def test_an_agent_that_fails_stops_the_arm():
     decisions = iter([np.array([0.5, -1.5, 1.5, -1.5, -1.5, 0.0])] * 5)
     arm = controller(lambda observation: next(decisions))

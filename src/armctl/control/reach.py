@@ -253,7 +253,7 @@ class ReachController:
 
     def _acted(self, act: Callable[[Array], ArrayLike], point: Array) -> tuple[Array | None, str]:
         """Return what the agent decides, or decided last."""
-        if self._ticks % max(1, round(ACT_PERIOD / self.period)) == 1 or self._plan is None:
+        if self._ticks % max(1, round(ACT_PERIOD / self.period)) == 0 or self._plan is None:
             q = self._watchdog.measured
             try:
                 goal = finite(act(np.concatenate((self.model.position(q), q, point))), self.model.dof)
