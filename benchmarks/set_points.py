@@ -173,7 +173,11 @@ def faults(targets: Any) -> Iterator[list[str]]:
             follow(controller, arm, target_at, run, EVENT)
             arm.protective_stop = True
         point = follow(controller, arm, target_at, run, LIMIT)
-        yield [name, *outcome(controller, run, point), *(f"{share:.1%}" for share in run.shares(controller))]
+        result, braked = outcome(controller, run, point)
+        if point is not None and point.state is State.ARRIVED:
+            miss = controller.model.position(run.samples[-1].q) - target_at(arm.time)
+            result += f", {1e3 * np.linalg.norm(miss):.1f} mm off"
+        yield [name, result, braked, *(f"{share:.1%}" for share in run.shares(controller))]
 
 
 def outcome(controller: ReachController, run: Run, point: Any) -> tuple[str, str]:
