@@ -58,7 +58,7 @@ def test_a_visual_shape_is_drawn_and_the_collision_shape_collides(write):
 
 UNREADABLE = {
     "missing": (mesh("none.stl"), "not found"),
-    "format": (mesh("link.glb"), "no mesh of a format"),
+    "format": (mesh("link.3mf"), "no mesh of a format"),
     "flat": (mesh("flat.obj"), "flat|cannot be read"),
     "unknown": ('<cone radius="1"/>', "cone"),
     "nothing": ("", "<visual> without a shape"),
@@ -68,7 +68,7 @@ UNREADABLE = {
 @pytest.mark.parametrize(("shape", "reason"), UNREADABLE.values(), ids=UNREADABLE)
 def test_an_unreadable_visual_is_told_and_the_collision_shape_is_drawn(write, shape, reason):
     path = write(arm(shape=BOX).replace("</collision>", visual(shape)))
-    (path.parent / "link.glb").write_bytes(b"glTF")
+    (path.parent / "link.3mf").write_bytes(b"glTF")
     (path.parent / "flat.obj").write_text(COLLAPSED)
     (found,), _ = drawn(path)
     assert volume(found) == pytest.approx(VOLUMES[BOX])

@@ -102,11 +102,11 @@ def test_meshes_elsewhere_are_not_opened(tmp_path, write, named, monkeypatch):
         ("../meshes/g.stl", "outside of the URDF's package 'package': put it below 'package'"),
         ("", "has no file name"),
         ("meshes", "not found .* as 'package/meshes'"),
-        ("link.glb", r"convert it: \.stl"),
+        ("link.3mf", r"Blender or MeshLab as one of \.stl"),
     ],
 )
 def test_where_a_mesh_was_looked_for_is_told_and_what_helps(tmp_path, write, named, says):
-    for file in ("gripper/meshes/g.stl", "meshes/g.stl", "package/link.glb", "package/meshes/x"):
+    for file in ("gripper/meshes/g.stl", "meshes/g.stl", "package/link.3mf", "package/meshes/x"):
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file).write_bytes(stl(TETRAHEDRON))
     with pytest.raises(ConfigurationError, match=says):

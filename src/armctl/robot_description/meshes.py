@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.core.errors import reason
 from armctl.robot_description.collada import read_collada
+from armctl.robot_description.gltf import read_glb
 from armctl.robot_description.xml_file import short
 
 PATH = 80
 """Characters of a path that a message shows."""
 ROBOT_FOLDERS = "mjcf", "urdf", "robots"
 """Folders of robots' files, or of a folder for each robot, beside which their meshes are."""
-FORMATS = (".stl", ".dae", ".obj", ".ply")
+FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Formats that hold all of a mesh in one file."""
 MAX_BYTES = 64_000_000
 """Size of all mesh files of a robot together; the largest in example-robot-data has 29 MB."""
@@ -64,7 +65,10 @@ class Meshes:
         """Return vertices (k, 3) m and triangles (m, 3) of a mesh, as a URDF names it. Raises `MeshError`."""
         path = self._find(filename)
         if path.suffix.lower() not in FORMATS:
-            raise MeshError(f"is no mesh of a format that armctl reads, so convert it: {', '.join(FORMATS)}")
+            formats = ", ".join(FORMATS)
+            raise MeshError(
+                f"is no mesh of a format that armctl reads: export it from Blender or MeshLab as one of {formats}"
+            )
         content = self._content(path)
         vertices, triangles = _parse(path, content, scale)
         if not len(vertices) or not len(triangles):
@@ -185,7 +189,13 @@ def _parse(path: Path, content: bytes, scale: Array) -> tuple[Array, NDArray[np.
         except (ArithmeticError, ElementTree.ParseError, LookupError, StopIteration, ValueError) as error:
             raise MeshError(f"cannot be read: {error}") from error
         return vertices * scale * limited.metres, triangles.astype(np.int32)
-    elif path.suffix.lower() == ".obj":
+    if path.suffix.lower() == ".glb":
+        try:
+            vertices, triangles = read_glb(content)
+        except ValueError as error:
+            raise MeshError(f"cannot be read: {error}") from error
+        return vertices * scale, triangles.astype(np.int32)
+    if path.suffix.lower() == ".obj":
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "mesh.obj"
             copy.write_bytes(_shape_of_obj(content))
