@@ -43,6 +43,14 @@ def test_a_session(typed, tmp_path):
     assert [policy.episodes for policy in comparison.policies] == [6, 6]
 
 
+def test_a_log_stands_beside_a_simulated_task_by_the_name_of_its_own(typed, tmp_path):
+    typed("act", "pi0", "--episodes", "6", "--task", "bench", lines=["y"] * 12)
+    rows = [f"{policy},{k},yes,reach" for policy in ("act", "pi0") for k in range(6)]
+    (tmp_path / "simulated.csv").write_text("\n".join(["policy,episode,success,task", *rows]))
+    assert sorted(judge([tmp_path / "arm.csv", tmp_path / "simulated.csv"]).cells) == ["bench", "reach"]
+    assert "a log of other task, bench" in typed("--task", "table", check=False).stderr.replace("\n", " ")
+
+
 def test_each_initial_condition_is_tried_with_all_policies_in_a_drawn_order(tmp_path):
     log = TrialLog.begin(tmp_path / "arm.csv", ["a", "b", "c"], 300, 7, False)
     by_condition = [

@@ -183,7 +183,7 @@ def log(request: LogRequest) -> None:
     names = request.names or []
     if os.path.exists(request.file):
         trial_log = TrialLog.read(request.file)
-        trial_log.check_plan(names, request.episodes, request.seed)
+        trial_log.check_plan(names, request.episodes, request.seed, request.task)
     elif not names or request.unblind:
         raise ConfigurationError(f"there is no log {request.file}: name the policies to begin one")
     else:
