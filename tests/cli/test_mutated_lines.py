@@ -109,7 +109,8 @@ LINES: dict[str, Any] = {
     ),
     "log": (
         [("new.csv", "old", "new")],
-        [SEEDS, [("--episodes", "2")], [("--task", "bench")], [("--blind",), ("--blind", "--key", "key.json")], [("--blind",)]],
+        [SEEDS, [("--episodes", "2")], [("--task", "bench")], [("--blind",), ("--blind", "--key", "key.json")],
+         [("--blind",)]],
     ),
     "pull": ([("owner/name",)], [[("--out", "new")], [("--overwrite",)]]),
     "suite": (
