@@ -1,5 +1,7 @@
 """Success of an episode, read from infos and returns by each rule."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,10 @@ from armctl.study import compare
 from armctl.study.results import read_comparison
 
 YES, NO, SILENT = {"success": True}, {"success": False}, {"other": 1}
-EPISODES = {"never": [NO, NO], "early": [YES, NO], "late": [NO, YES], "early, then silent": [YES, SILENT],
-            "refused, then silent": [NO, SILENT], "silent": [SILENT, SILENT]}  # fmt: skip
+EPISODES: dict[str, list[dict[str, Any]]] = {
+    "never": [NO, NO], "early": [YES, NO], "late": [NO, YES], "early, then silent": [YES, SILENT],
+    "refused, then silent": [NO, SILENT], "silent": [SILENT, SILENT],
+}  # fmt: skip
 
 
 def outcomes(**options):

@@ -24,7 +24,7 @@ class Maze(gymnasium.Env):
         "place": spaces.Box(-1, 1, (2,)), "pair": spaces.Tuple([spaces.Discrete(3), spaces.Box(0, 1, (1,))]),
     })
     action_space = spaces.Box(-1, 1, (2,))
-    dt = 0.1
+    dt, max_episode_steps = 0.1, 40
 
     def __init__(self, size=1.0, render_mode=None):
         self.size, self.render_mode = size, render_mode
@@ -93,6 +93,7 @@ def test_its_facts_and_its_pictures(maze):
     worlds.step(np.zeros((2, 2)))
     assert worlds.task.control_period == 0.1
     assert worlds.metadata["render_fps"] == 20
+    assert worlds.max_episode_steps == 40
     pictures = worlds.render()
     assert [picture.shape for picture in pictures] == [(32, 32, 3)] * 2
     assert (pictures[0] == 1).all()
@@ -105,7 +106,9 @@ def test_ids_of_gymnasium_with_their_time_limit():
     worlds.close()
 
 
-@pytest.mark.parametrize(("name", "says"), [("Dies", "has closed the connection"), ("Errs", "AssertionError")])
+@pytest.mark.parametrize(
+    ("name", "says"), [("Dies", "has closed the connection"), ("Errs", 'AssertionError: "assert self.steps < 3"')]
+)
 def test_an_environment_that_fails_ends_its_policy(maze, name, says):
     played = compare({"home": home}, maze(name), episodes=2)
     assert says in played.failures["home"]

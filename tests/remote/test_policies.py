@@ -23,6 +23,7 @@ import os, sys, time
 import numpy as np
 
 class Counts:
+    kind, training_steps, family = "learned", 500, 3
     def __init__(self):
         self.decisions = 0
     def reset(self):
@@ -213,6 +214,8 @@ def test_code_for_another_python(mine):
     assert "has closed the connection" in played.failures[dies]
     assert "no more" in played.failures[leaves]
     assert set(played.failures) == {dies, errs, leaves}
+    agent = next(policy for policy in played.policies if policy.policy == counts)
+    assert (agent.side, agent.training.steps, agent.family) == ("learned", 500, counts)
     assert "ValueError: five is enough" in played.failures[errs]
     outcomes = {name: set(rows(played, name).outcome) for name in (counts, errs)}
     assert outcomes == {counts: {"timeout"}, errs: {"error"}}

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, ConnectionFailed, EnvironmentFailed
-from armctl.remote.connection import TO_START, Connection, OtherEndFailed, host_of
+from armctl.remote.connection import TO_START, Connection, OtherEndFailed, host_of, in_words
 from armctl.remote.names import SERVERS
 
 
@@ -28,7 +28,7 @@ class RemoteEnv(gymnasium.Env[Any, Any]):
             self._connection = Connection(self._host.url, TO_START)
             facts = self._connection.ask({"armctl": "make", "options": options})
         except (ConnectionFailed, OtherEndFailed) as error:
-            raise ConfigurationError(f"{name} could not be made: {error}") from error
+            raise ConfigurationError(f"{name} could not be made: {in_words(error)}") from error
         self._connection.patience = timeout
         self.identity = str(self._connection.metadata.get("identity"))
         """What determines its episodes, as far as the process says."""
@@ -71,7 +71,7 @@ class RemoteEnv(gymnasium.Env[Any, Any]):
         try:
             return self._connection.ask(message)
         except (ConnectionFailed, OtherEndFailed) as error:
-            raise EnvironmentFailed(str(error)) from error
+            raise EnvironmentFailed(in_words(error)) from error
 
     def _parts(self, result: Any) -> Any:
         """Return what the environment has returned, with the observation as its space has it."""

@@ -54,6 +54,21 @@ class Code:
     loaded: dict[str, str] = field(default_factory=dict)
 
 
+@runtime_checkable
+class PlaysApart(Protocol):
+    """A policy that plays in another process: it has no world here."""
+
+    code: Code | None
+    """Identity of code that only that process has imported; None: all of it is known here."""
+    patience: float
+    """Time that the process may take for an answer, s."""
+    seconds: float
+    """Duration of the last call, as measured in that process."""
+
+    def close(self) -> None:
+        """End the process, or the connection to it."""
+
+
 class Controller(Protocol):
     """Acts in one world."""
 

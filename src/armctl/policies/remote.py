@@ -23,7 +23,7 @@ from armctl.core.registration import bare_id, remember_named
 from armctl.envs import Interface, one_of
 from armctl.policies.declare import check_sees
 from armctl.policies.policy import Actions, Code, ControllersFailed
-from armctl.remote.connection import Connection, Host, OtherEndFailed, error_in, host_of
+from armctl.remote.connection import Connection, Host, OtherEndFailed, error_in, host_of, in_words
 from armctl.remote.messages import VERSION
 from armctl.remote.names import SERVERS
 
@@ -53,7 +53,7 @@ def _connected(name: str) -> tuple[Connection, Host | None]:
     try:
         connection = Connection(name.partition("?")[0] if host is None else host.url)
     except (ConnectionFailed, OtherEndFailed) as error:
-        raise ConfigurationError(f"{name} could not be made: {error}") from error
+        raise ConfigurationError(f"{name} could not be made: {in_words(error)}") from error
     version = connection.metadata.get("armctl", VERSION)
     if version != VERSION:
         raise ConfigurationError(f"{name} speaks version {version!r} of armctl's protocol, not {VERSION}")
@@ -76,7 +76,7 @@ class RemotePolicy:
         if "family" in metadata:
             self.family = str(metadata["family"])
         self.kind = metadata.get("kind")
-        self.own_code = Code(str(metadata.get("identity", sorted(map(str, metadata.items())))))
+        self.code: Code | None = Code(str(metadata.get("identity", sorted(map(str, metadata.items())))))
         """What determines its episodes, as far as the server says."""
         self.failures: NDArray[np.int64] = np.zeros(env.num_envs, dtype=np.int64)
         self.seconds = 0.0

@@ -124,6 +124,11 @@ def error_in(text: str) -> OtherEndFailed:
     return error
 
 
+def in_words(error: ConnectionFailed | OtherEndFailed) -> str:
+    """Return the cause of a failure, with the type of an error of the other end."""
+    return f"{type(error).__name__}: {error}" if isinstance(error, OtherEndFailed) else str(error)
+
+
 class Host:
     """A process of another Python. It ends with this one, or when nothing refers to it any more.
 

@@ -23,6 +23,8 @@ import numpy as np
 
 from armctl.remote.messages import LARGEST, VERSION, packed, unpacked
 
+DECLARED = {"kind": str, "family": str, "training_steps": int}
+"""Attributes of a plain policy that are told, and their types."""
 DEEPEST, LONGEST = 5, 200
 """Levels of an info that are told, and characters of a value that is none of a message's."""
 
@@ -72,7 +74,10 @@ class Controllers:
 
     def __init__(self, source: Any, identity: str) -> None:
         self._source, self._controllers = source, dict[int, Any]()
-        self.metadata = {"armctl": VERSION, "identity": identity}
+        facts = {
+            name: getattr(source, name) for name, kind in DECLARED.items() if type(getattr(source, name, None)) is kind
+        }
+        self.metadata = {"armctl": VERSION, "identity": identity, **facts}
 
     def answer(self, message: dict[str, Any]) -> dict[str, Any]:
         """Begin episodes, or act."""
@@ -152,7 +157,7 @@ def _facts(env: Any) -> dict[str, Any]:
     return {
         "observation_space": _space(env.observation_space),
         "action_space": _space(env.action_space),
-        "max_episode_steps": getattr(spec, "max_episode_steps", None),
+        "max_episode_steps": getattr(spec, "max_episode_steps", None) or getattr(env, "max_episode_steps", None),
         "dt": float(period) if isinstance(period, (int, float, np.floating)) else None,
         "metadata": _plain(dict(getattr(env, "metadata", None) or {})),
         "takes_seed": "seed" in (parameters := inspect.signature(unwrapped.reset).parameters)

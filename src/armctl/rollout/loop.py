@@ -31,6 +31,7 @@ from armctl.episodes.failures import PolicyDisqualified, PolicyFailed, until_unp
 from armctl.episodes.record import EpisodeResult, FailedEpisode
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import ControllersFailed, Policy, PolicyFactory, WorldsByInterface, policy_name
+from armctl.policies.policy import PlaysApart
 from armctl.rollout.construction import build_policy
 from armctl.rollout.decision_times import Errors, TimedPolicy
 from armctl.rollout.recorder import EpisodeRecorder
@@ -100,9 +101,9 @@ class _Player:
     ) -> None:
         self._timed, self._env, self._recorder, self._seed, self._name = timed, env, recorder, seed, name
         guard = StateGuard(env, timed.policy.sees == "state", getattr(timed.policy, "foresight", ()))
-        self._guarded, self._limit = guard.assert_unchanged, timed.timeout
-        if hasattr(timed.policy, "own_code"):  # in another process, it has no world, and a limit of its own
-            self._guarded, self._limit = _out_of_reach, None
+        plays_apart = isinstance(timed.policy, PlaysApart)  # it has no world, and a limit of its own
+        self._guarded = _out_of_reach if plays_apart else guard.assert_unchanged
+        self._limit = None if plays_apart else timed.timeout
         self._limit_of_env = environment_limit(env, timed.timeout)
         self._numbers = np.zeros(env.num_envs, dtype=np.int64)
         """(n,) the episode of each world."""

@@ -20,6 +20,7 @@ from armctl.envs.find import maker_in_script
 from armctl.episodes.failures import FirstEpisodes, PolicyDisqualified, PolicyFailed, until_unplayable
 from armctl.episodes.record import EpisodeResult
 from armctl.policies import SUFFIX, Policy, PolicyFactory, WorldsByInterface, is_code
+from armctl.policies.policy import PlaysApart
 from armctl.policies.trainings import training_card
 from armctl.rollout.construction import build_timed
 from armctl.rollout.decision_times import TimedPolicy
@@ -279,7 +280,7 @@ def _for_sending(
                 policies[name] = relative(str(policy))
                 files += _file_named(str(policy))
     files += _file_named(config.env)
-    for code in filter(None, (getattr(actor, "own_code", None) for actor in actors.values())):
+    for code in filter(None, (actor.code for actor in actors.values() if isinstance(actor, PlaysApart))):
         files += [Path(file) for file in code.loaded if file.endswith(".py")]  # imported in the policy's process only
     sent = Setting(replace(config, env=relative(config.env), env_options=options), policies)
     identities = {

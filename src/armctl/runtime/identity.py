@@ -23,6 +23,7 @@ from armctl.core.registration import import_attribute, import_named, load_instal
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv, find_spec
 from armctl.policies import GROUP, Policy, configured, policy_names
 from armctl.policies.names import without_filter
+from armctl.policies.policy import PlaysApart
 from armctl.policies.trainings import card_of
 from armctl.remote.names import is_remote
 from armctl.runtime.fingerprint import UNKNOWN, fingerprint
@@ -57,7 +58,7 @@ def identity(
     nor what it imports by a computed name while it plays. Of an isolated policy, its own process has imported the code,
     and tells of it.
     """
-    isolated = {name: policy.own_code for name, policy in policies.items() if hasattr(policy, "own_code")}
+    isolated = {name: policy.code for name, policy in policies.items() if isinstance(policy, PlaysApart)}
     apart = {name: code for name, code in isolated.items() if code is not None}
     definitions = {name: _definition(policy) for name, policy in requested.items() if name not in apart}
     cards = {name: card for name, policy in policies.items() if (card := _card(requested[name], policy)) is not None}

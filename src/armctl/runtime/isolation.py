@@ -27,7 +27,7 @@ from armctl.core.registration import remember_named
 from armctl.envs import SEES, EpisodeVectorEnv, Interface, PolicyStreams, interface_of
 from armctl.policies import Actions, ControllersFailed, configured, policy_names
 from armctl.policies.names import agent_cards, declared_sees, without_filter
-from armctl.policies.policy import Code
+from armctl.policies.policy import Code, PlaysApart
 from armctl.policies.trainings import card_of
 from armctl.remote.names import is_remote
 from armctl.runtime.isolated import ANSWER, Answer, RemoteError
@@ -52,7 +52,7 @@ class IsolatedPolicy:
         built = self._build()
         self.sees: Any = built.sees if card_of(source) is not None else loaded.sees
         self.foresight = loaded.foresight
-        self.own_code: Code | None = loaded.code
+        self.code: Code | None = loaded.code
         """Code that only the policy's process has imported; None: all of it is known here."""
         self.construction_ms = round(1e3 * built.seconds, 4)
         self.training_steps, self.training_minutes = built.training_steps, built.training_minutes
@@ -139,7 +139,7 @@ def isolated(policy: Any, env: EpisodeVectorEnv, name: str, policy_seed: int) ->
 def close(policies: Iterable[Any]) -> None:
     """End the processes of those policies that play in others, and connections to servers."""
     for policy in policies:
-        if hasattr(policy, "own_code"):
+        if isinstance(policy, PlaysApart):
             policy.close()
 
 

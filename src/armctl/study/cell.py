@@ -18,6 +18,7 @@ from armctl.episodes.store import CellWriter, Store
 from armctl.episodes.stored import POLICY_SEED, UNDISTURBED
 from armctl.episodes.table import EpisodeTable
 from armctl.policies import Policy, WorldsByInterface
+from armctl.policies.policy import PlaysApart
 from armctl.rollout.construction import build_timed
 from armctl.rollout.decision_times import TimedPolicy
 from armctl.rollout.loop import environment_limit, wrap_environment_errors
@@ -188,7 +189,7 @@ class _Line:
                     getattr(policy, "family", None),
                     tuple(name for name in getattr(policy, "foresight", ()) if name in env.foresight),
                     declared_kind(policy),
-                    isolated=hasattr(policy, "own_code"),
+                    isolated=isinstance(policy, PlaysApart),
                     transport_ms=getattr(policy, "transport_ms", None),
                 )
                 for name, policy in self.policies.items()

@@ -24,6 +24,7 @@ from armctl.policies import (
     make_policy,
     policy_names,
 )
+from armctl.policies.policy import PlaysApart
 from armctl.rollout.construction import build_timed
 from armctl.rollout.loop import environment_limit, wrap_environment_errors
 from armctl.runtime.isolation import close
@@ -129,7 +130,7 @@ def _misfit(policy: Any, name: str, env: str, options: StudyOptions) -> str | No
             actor, _ = build_timed(policy, worlds, name, secret, options.get("isolate", False), options.get("timeout"))
             actors.append(actor)
             timeout = options.get("timeout")
-            limit = None if hasattr(actor, "own_code") else timeout
+            limit = None if isinstance(actor, PlaysApart) else timeout
             with wrap_environment_errors("a trial", 0, environment_limit(worlds, timeout)):
                 observations, _ = worlds.reset(seed=0)
             with time_limit(limit, "its first decision"):
