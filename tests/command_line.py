@@ -45,7 +45,7 @@ def program(*arguments, cwd, check=True, disk=None, **variables):
     return done
 
 
-def armctl(*arguments, cwd, check=True, disk=None):
+def armctl(*arguments, cwd, check=True, disk=None, **variables):
     """Run armctl in this process, where everything is imported already; what it imports and registers is forgotten.
 
     `disk` is as for `full_disk`. Kernels should be compiled by then, as numba cannot write them either.
@@ -55,7 +55,7 @@ def armctl(*arguments, cwd, check=True, disk=None):
         patch.setattr(sys, "argv", ["armctl", *map(str, arguments)])
         patch.setattr(sys, "path", list(sys.path))
         patch.setenv("PYTHONSAFEPATH", "")  # `main` sets it, and processes that tests start would inherit that
-        for name, value in ENVIRONMENT.items():
+        for name, value in (ENVIRONMENT | variables).items():
             patch.setenv(name, value)
         for file in Path(cwd).glob("*.py"):
             patch.delitem(sys.modules, file.stem, raising=False)  # one of that name that another test has imported

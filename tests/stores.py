@@ -30,7 +30,7 @@ def timeless(episodes):
     return table.drop(columns=list(TIME_COLUMNS))
 
 
-def wait_for_episodes(folder, pages=20, seconds=60):
+def wait_for_episodes(folder, pages=20, seconds=600):
     """Wait until a run has written some episodes: at least a page of the log each."""
     log, end = folder / f"{STORE}-wal", time.monotonic() + seconds
     while not (log.exists() and log.stat().st_size > pages * 4_096):

@@ -120,7 +120,7 @@ def test_a_text_for_an_environment_of_others_may_be_a_path(home, agent):
 @pytest.mark.slow
 def test_a_report_says_how_to_run_code_that_one_trusts(home, results):
     (home / "mine.py").write_text("def still(observation):\n    return observation[3:9]\n")
-    program("compare", "mine.py:still", "--episodes", "2", "--out", "own", "--set", "max_episode_steps=5", cwd=home)
+    armctl("compare", "mine.py:still", "--episodes", "2", "--out", "own", "--set", "max_episode_steps=5", cwd=home)
     program("report", "own", cwd=home)  # in a process in which that was not named
     page = (home / "own" / "report.html").read_text()
     assert "name it yourself, --policy mine.py:still" in page
@@ -136,7 +136,7 @@ def test_a_folder_in_which_one_works_runs_no_code(home, results):
     program("report", ".", cwd=results.parent, check=False)
     for name in ("orjson", "kaleido"):
         (results / f"{name}.py").write_text(EVIL)
-    program("report", ".", cwd=results)
+    program("report", ".", "--no-video", cwd=results)
     program("list", cwd=results)
     program("compare", "random", "--episodes", "1", "--out", "more", "--report", cwd=results)
     assert marks(home) == []

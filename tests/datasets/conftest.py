@@ -14,6 +14,14 @@ def uninterrupted(tmp_path_factory):
     return out
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A collection of 9 episodes that nothing has interrupted."""
+    out = tmp_path_factory.mktemp("nine") / "whole"
+    collect("random", episodes=9, out=out, worlds=3, env_options=SHORT)
+    return out
+
+
 @pytest.fixture
 def interrupted(tmp_path):
     """A collection of 9 episodes with 5 finished; the folder."""

@@ -5,7 +5,6 @@ import random
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -23,16 +22,8 @@ from armctl.episodes.store import CellWriter
 from armctl.study import cell as playing
 from armctl.study.results import read_comparison
 
-from ..command_line import armctl
+from ..command_line import armctl, program
 from .collections_of_random import ARMCTL, COMMAND, EPISODES, SHORT, files, same_dataset, wait_for_episodes, worlds
-
-LIMITED = """
-import resource, signal, sys
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
-from armctl.cli import main
-main()
-"""
 
 
 def begin(out):
@@ -58,7 +49,7 @@ def kill_until_finished(out, kills, rng):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in range(2, 6))])
 def test_a_collection_that_is_killed_again_and_again_resumes_to_the_same_dataset(uninterrupted, seed, tmp_path):
-    output = kill_until_finished(tmp_path / "killed-v0", 5, random.Random(seed))
+    output = kill_until_finished(tmp_path / "killed-v0", 3 if seed == 1 else 5, random.Random(seed))
     assert "were there already" in output
     assert same_dataset(tmp_path / "killed-v0", uninterrupted)
     assert len(read_demonstrations(tmp_path / "killed-v0", worlds())) == EPISODES
@@ -98,8 +89,7 @@ def test_an_interrupt_between_keeping_and_counting_loses_nothing(tmp_path, monke
 def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupted, limit, tmp_path):
     """A limit on the size of files stands for the disk: what crosses it fails as on a full one."""
     out = tmp_path / "full-v0"
-    command = [sys.executable, "-c", LIMITED, str(limit), *COMMAND, "--out", out]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = program(*COMMAND, "--out", out, cwd=tmp_path, check=False, disk=limit)
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith("armctl: ")
     assert len(done.stderr.splitlines()) == 1, done.stderr
@@ -108,19 +98,20 @@ def test_a_full_disk_is_told_in_a_line_and_the_same_command_resumes(uninterrupte
     kept = len(list((out / "unfinished").glob("episode_*.npz"))) if out.exists() else 0
     assert kept == (0 if limit == 2_000 else EPISODES)
     assert ("the same command resumes" in done.stderr) == bool(kept)
-    again = subprocess.run([ARMCTL, *COMMAND, "--out", out], check=True, capture_output=True, text=True)
+    again = program(*COMMAND, "--out", out, cwd=tmp_path)
     assert same_dataset(out, uninterrupted)
     assert ("were there already" in again.stdout) == bool(kept)
 
 
 @pytest.mark.slow
-def test_a_resumed_collection_plays_only_what_is_missing(interrupted, tmp_path):
+def test_a_resumed_collection_plays_only_what_is_missing(interrupted, whole):
     seen = []
     collection = collect("random", episodes=9, out=interrupted, env_options=SHORT, progress=seen.append)
     assert (collection.resumed, collection.episodes, seen) == (5, 9, [1, 2, 3, 4, 5, 6, 7, 8, 9])
-    whole = collect("random", episodes=9, out=tmp_path / "whole", worlds=3, env_options=SHORT)
-    assert same_dataset(interrupted, tmp_path / "whole")
-    assert (collection.steps, collection.successes) == (whole.steps, whole.successes)
+    assert same_dataset(interrupted, whole)
+    played = read_demonstrations(whole, worlds())
+    assert collection.steps == sum(map(len, played))
+    assert collection.successes == sum(one.success for one in played)
 
 
 @pytest.mark.slow
@@ -167,15 +158,14 @@ def test_versions_are_part_of_what_a_collection_is(interrupted, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_episode_that_is_damaged_is_played_again(interrupted, tmp_path):
+def test_an_episode_that_is_damaged_is_played_again(interrupted, whole):
     one, other = interrupted / "unfinished/episode_1.npz", interrupted / "unfinished/episode_2.npz"
     content = bytearray(one.read_bytes())
     content[len(content) // 2] ^= 1
     one.write_bytes(content)
     other.write_bytes(b"")
     assert collect("random", episodes=9, out=interrupted, env_options=SHORT).resumed == 3
-    collect("random", episodes=9, out=tmp_path / "whole", env_options=SHORT)
-    assert same_dataset(interrupted, tmp_path / "whole")
+    assert same_dataset(interrupted, whole)
 
 
 def test_a_damaged_manifest_is_told(interrupted):
@@ -300,7 +290,7 @@ class Killed(BaseException):
 @pytest.mark.one_case
 @pytest.mark.parametrize("step", ["write_dataset", "sealed", "rename", "rmtree"])
 @pytest.mark.parametrize("after", [False, True])
-def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, tmp_path, monkeypatch, step, after):
+def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, whole, monkeypatch, step, after):
     place = {"write_dataset": minari_files, "sealed": minari_files, "rename": Path, "rmtree": shutil}[step]
     real = getattr(place, step)
 
@@ -315,5 +305,4 @@ def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, tmp_pa
     monkeypatch.undo()
     assert len(list((interrupted / "unfinished").glob("episode_*.npz"))) == 9 or step == "rmtree"
     assert collect("random", episodes=9, out=interrupted, env_options=SHORT).resumed == 9
-    collect("random", episodes=9, out=tmp_path / "whole", env_options=SHORT)
-    assert same_dataset(interrupted, tmp_path / "whole")
+    assert same_dataset(interrupted, whole)

@@ -1,7 +1,7 @@
-"""Reads a LeRobot dataset with LeRobot's own reader, and writes what it finds to an npz file.
+"""Reads LeRobot datasets with LeRobot's own reader, and writes what it finds to npz files.
 
-`python read_lerobot.py LIBRARY DATASET FILE.npz`: the folder LIBRARY has lerobot, torchvision, accelerate and
-safetensors, installed without what they require (see the Makefile).
+`python read_lerobot.py LIBRARY DATASET FILE.npz [DATASET FILE.npz ...]`: the folder LIBRARY has lerobot, torchvision,
+accelerate and safetensors, installed without what they require (see the Makefile).
 """
 
 import sys
@@ -17,16 +17,17 @@ operators.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor
 
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
-dataset = LeRobotDataset("armctl/test", root=sys.argv[2], video_backend="pyav")
-frames = [dataset[i] for i in range(len(dataset))]
-found: dict[str, Any] = {
-    key: np.array([np.asarray(frame[key]) for frame in frames]) for key in frames[0] if key != "task"
-}
-found |= {f"stats/{key}/{name}": value for key, one in dataset.meta.stats.items() for name, value in one.items()}
-np.savez(
-    sys.argv[3],
-    fps=dataset.fps,
-    episodes=dataset.num_episodes,
-    tasks=[frame["task"] for frame in frames],
-    **found,
-)
+for folder, file in zip(sys.argv[2::2], sys.argv[3::2], strict=True):
+    dataset = LeRobotDataset("armctl/test", root=folder, video_backend="pyav")
+    frames = [dataset[i] for i in range(len(dataset))]
+    found: dict[str, Any] = {
+        key: np.array([np.asarray(frame[key]) for frame in frames]) for key in frames[0] if key != "task"
+    }
+    found |= {f"stats/{key}/{name}": value for key, one in dataset.meta.stats.items() for name, value in one.items()}
+    np.savez(
+        file,
+        fps=dataset.fps,
+        episodes=dataset.num_episodes,
+        tasks=[frame["task"] for frame in frames],
+        **found,
+    )

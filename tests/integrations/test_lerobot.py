@@ -50,17 +50,20 @@ def bridge(tmp_path_factory):
     return both(tmp_path_factory.mktemp("bridge"), BRIDGE, 2, SMALL)
 
 
-def read(dataset, folder):
-    """What LeRobot itself finds."""
+@pytest.fixture(scope="module")
+def read(arm, bridge, tmp_path_factory):
+    """What LeRobot itself reads, by dataset: one process, which loads it for seconds."""
     assert LIBRARY.is_dir(), "make .venv/lerobot"
+    folder = tmp_path_factory.mktemp("read")
+    files = {dataset: folder / f"{number}.npz" for number, (dataset, _) in enumerate((arm, bridge))}
     done = subprocess.run(
-        [sys.executable, READER, LIBRARY, dataset, folder / "found.npz"],
+        [sys.executable, READER, LIBRARY, *(path for pair in files.items() for path in pair)],
         capture_output=True,
         text=True,
         env=os.environ | {"HF_HOME": str(folder), "HF_HUB_OFFLINE": "1"},
     )
     assert done.returncode == 0, done.stderr
-    return dict(np.load(folder / "found.npz"))
+    return {dataset: dict(np.load(file)) for dataset, file in files.items()}
 
 
 def check_frames(found, played, fps):
@@ -79,9 +82,9 @@ def check_frames(found, played, fps):
 
 
 @pytest.mark.slow
-def test_lerobot_reads_what_an_arm_did(arm, tmp_path):
+def test_lerobot_reads_what_an_arm_did(arm, read):
     dataset, played = arm
-    found = read(dataset, tmp_path)
+    found = read[dataset]
     check_frames(found, played, 25)
     states = np.concatenate([one.observations[:-1] for one in played])
     np.testing.assert_array_equal(found["observation.state"], states)
@@ -99,9 +102,9 @@ def test_lerobot_reads_what_an_arm_did(arm, tmp_path):
 
 
 @pytest.mark.slow
-def test_lerobot_reads_what_a_camera_saw(bridge, tmp_path):
+def test_lerobot_reads_what_a_camera_saw(bridge, read):
     dataset, played = bridge
-    found = read(dataset, tmp_path)
+    found = read[dataset]
     check_frames(found, played, 10)
     np.testing.assert_array_equal(
         found["observation.state"], np.concatenate([p.observations["motion"][:-1] for p in played])

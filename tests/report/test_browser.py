@@ -38,11 +38,15 @@ def look_at_the_switches(tab):
         )
 
 
+@pytest.fixture(scope="module")
+def report(finished_sweep, tmp_path_factory):
+    return write_report(finished_sweep, tmp_path_factory.mktemp("page") / "report.html")
+
+
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_in_a_browser(chromium, swept, width):
-    report = write_report(swept)
+def test_the_page_in_a_browser(chromium, report, width):
     assert report.stat().st_size < 15e6
     requests, complaints = [], []
     tab = chromium.new_page(viewport={"width": width, "height": 844})

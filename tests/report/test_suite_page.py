@@ -112,11 +112,16 @@ def test_figures_hold_their_numbers():
     assert suite_figures.cost_plane([], "ms", "ms", 0.1).data == ()
 
 
+@pytest.fixture(scope="module")
+def page(finished, tmp_path_factory):
+    return write_report(finished, tmp_path_factory.mktemp("page") / "report.html")
+
+
 @pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_in_a_browser(chromium, folder, width):
-    page, complaints = write_report(folder), []
+def test_the_page_in_a_browser(chromium, page, width):
+    complaints = []
     tab = chromium.new_page(viewport={"width": width, "height": 844})
     tab.on("console", lambda message: complaints.append(message.text))
     tab.on("pageerror", lambda error: complaints.append(str(error)))

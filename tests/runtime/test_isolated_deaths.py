@@ -94,11 +94,11 @@ def policy(observation):
 """)
     command = ["-m", "armctl", "compare", "mine.py:policy", "--env", "guess_task.py:Guess", "--episodes", "9"]
     process = subprocess.Popen([sys.executable, *command, "--isolate", "--workers", str(workers)], process_group=0)
-    waited(lambda: list(home.glob("pid-*")), 60)
+    waited(lambda: list(home.glob("pid-*")), 600)
     os.killpg(process.pid, by) if by == signal.SIGINT else process.send_signal(by)
-    process.wait(30)
+    process.wait(300)
     children = [int(path.name.removeprefix("pid-")) for path in home.glob("pid-*")]
-    assert waited(lambda: not any(map(is_running, children)), 10)
+    assert waited(lambda: not any(map(is_running, children)), 120)
 
 
 def waited(condition, seconds):

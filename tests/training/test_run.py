@@ -156,7 +156,7 @@ def test_ctrl_c_keeps_what_has_begun(tmp_path):
 @pytest.mark.slow
 def test_the_verb_takes_several_seeds(tmp_path):
     (tmp_path / "small.toml").write_text(TOML)
-    done = armctl("train", "small.toml", "--seed", "all", "--workers", "2", cwd=tmp_path)
+    done = armctl("train", "small.toml", "--seed", "all", "--workers", "1", cwd=tmp_path)
     assert "Seed 4: Trained for" in done.stdout
     assert '"runs/small[*]"' in done.stdout.replace("'", '"')
     assert armctl("compare", "reach_ik", "runs/small[*]", "--episodes", "2", cwd=tmp_path).returncode == 0

@@ -67,7 +67,7 @@ def test_an_hour_of_nothing_is_no_budget(tmp_path):
 @pytest.mark.slow
 def test_a_recipe_is_judged_by_the_median_of_its_trainings(recipe, tmp_path):
     candidate = candidate_of(recipe, training_seeds=3)
-    found = tune(candidate, tmp_path / "out", trials=2)
+    found = tune(candidate, tmp_path / "out", trials=1)
     for one in found.trials:
         curves = [
             pd.read_csv(file)

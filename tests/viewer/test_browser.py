@@ -160,7 +160,7 @@ def viewing(tmp_path, *arguments):
             yield process, found[1], int(found[2])
         finally:
             process.send_signal(signal.SIGINT)
-            code = process.wait(60)
+            code = process.wait(300)
     assert code == 130, log.read_text()
     assert "Traceback" not in log.read_text()
 

@@ -40,7 +40,7 @@ def served():
 
 def asked(guard, path, host=None, **headers):
     """Status, headers and body of a page."""
-    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=120)
     connection.putrequest("GET", path, skip_host=True)
     for name, value in {"Host": host or f"localhost:{guard.port}", **headers}.items():
         connection.putheader(name, value)
@@ -59,7 +59,7 @@ def dialled(guard, path, host="localhost", origin=None, headers=None):
     headers = cookie(guard) if headers is None else headers
     return connect(
         f"ws://{host}:{guard.port}{path}", origin=origin, additional_headers=headers, proxy=None,
-        sock=socket.create_connection(("127.0.0.1", guard.port), timeout=20),
+        sock=socket.create_connection(("127.0.0.1", guard.port), timeout=120),
     )  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def test_who_has_the_token_gets_the_page_and_a_cookie_for_the_rest(served):
         assert asked(served, "/model", f"{host}:{served.port}", Cookie=f"{name}={value}")[::2] == (200, MODEL)
         origin = f"http://{host}:{served.port}"
         with dialled(served, "/state", host, origin, {"Cookie": f"{name}={value}"}) as state:
-            assert "role=spectator" in state.recv(timeout=20)
+            assert "role=spectator" in state.recv(timeout=120)
     assert served.address == f"http://localhost:{served.port}/?token={served.token}"
 
 
@@ -133,15 +133,15 @@ def test_nothing_is_uploaded_and_messages_are_bounded(served):
 
 
 def test_connections_are_bounded_and_come_free_again(served):
-    held = [socket.create_connection(("127.0.0.1", served.port), timeout=20) for _ in range(MAX_CONNECTIONS)]
-    until = time.monotonic() + 20
+    held = [socket.create_connection(("127.0.0.1", served.port), timeout=120) for _ in range(MAX_CONNECTIONS)]
+    until = time.monotonic() + 120
     while len(served._open) < MAX_CONNECTIONS and time.monotonic() < until:
         time.sleep(0.05)
     with pytest.raises((http.client.HTTPException, OSError)):
         asked(served, "/model", **cookie(served))
     for connection in held:
         connection.close()
-    until = time.monotonic() + 20
+    until = time.monotonic() + 120
     while served._open and time.monotonic() < until:
         time.sleep(0.05)
     assert asked(served, "/model", **cookie(served))[0] == 200
@@ -155,17 +155,17 @@ def test_who_says_nothing_is_not_waited_for(served, monkeypatch):
         server = web_server.WebServer(http_sock=public, tcp_sock=inner, mjb_data=MODEL)
         with guarded(other):
             server.start()
-        with socket.create_connection(public.getsockname(), timeout=20) as silent:
+        with socket.create_connection(public.getsockname(), timeout=120) as silent:
             assert silent.recv(1) == b""
         server.stop()
 
 
 def test_the_panel_talks_to_this_process_alone(served):
-    knock = f"import socket; print(socket.create_connection(('127.0.0.1', {served.inner}), timeout=20).recv(1))"
+    knock = f"import socket; print(socket.create_connection(('127.0.0.1', {served.inner}), timeout=120).recv(1))"
     assert subprocess.run([sys.executable, "-c", knock], capture_output=True, text=True).stdout == "b''\n"
     with socket.create_connection(("127.0.0.1", served.inner)) as own, dialled(served, "/ui") as panel:
         panel.send(b"version")
-        other = socket.create_connection(("127.0.0.1", served.inner), timeout=20)  # as Studio does for each page
+        other = socket.create_connection(("127.0.0.1", served.inner), timeout=120)  # as Studio does for each page
         assert other.recv(7) == b"version"
         own.close()
         other.close()

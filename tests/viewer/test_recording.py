@@ -7,7 +7,7 @@ import pytest
 from armctl.core.errors import ResultsError
 from armctl.viewer.recording import VIDEO_FORMATS, check_frames, recording
 
-from ..command_line import program
+from ..command_line import armctl
 
 NOISE = np.random.default_rng(0).integers(255, size=(30, 96, 128, 3), dtype=np.uint8)
 
@@ -61,7 +61,7 @@ def test_a_link_is_replaced_and_not_written_through(tmp_path):
 def test_a_full_disk_is_told_and_leaves_the_older_video(tmp_path, disk, steps):
     (tmp_path / "film.mp4").write_text("older")
     arguments = ["run", "random", "--steps", str(steps), "--video", "film.mp4"]
-    done = program(*arguments, cwd=tmp_path, check=False, disk=disk)
+    done = armctl(*arguments, cwd=tmp_path, check=False, disk=disk)
     assert done.returncode == 2
     assert done.stderr.startswith("armctl: the video film.mp4 cannot be written: ")
     assert done.stderr.count("\n") == 1

@@ -117,7 +117,7 @@ def test_an_interrupted_training_leaves_a_checkpoint_and_resumes(tmp_path):
                 break
         time.sleep(1)
         process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=120)
+        output, _ = process.communicate(timeout=600)
     assert process.returncode == 130, output
     assert "--resume" in output
     at = max(int(path.stem) for path in (tmp_path / "run" / "checkpoints").glob("[0-9]*.zip"))
