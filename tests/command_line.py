@@ -13,6 +13,7 @@ import gymnasium
 import pytest
 
 from armctl.cli import main
+from armctl.runtime import identity
 
 ARMCTL = str(Path(sys.executable).parent / "armctl")
 POLICY_SEED = 2**128 // 3
@@ -54,6 +55,8 @@ def armctl(*arguments, cwd, check=True, disk=None, **variables):
         patch.chdir(cwd)
         patch.setattr(sys, "argv", ["armctl", *map(str, arguments)])
         patch.setattr(sys, "path", list(sys.path))
+        patch.setattr(sys, "dont_write_bytecode", True)  # a file that is edited at once may be as old and as long
+        patch.setattr(identity, "_first_seen", {})  # so that an edited module is not told to be edited after its import
         patch.setenv("PYTHONSAFEPATH", "")  # `main` sets it, and processes that tests start would inherit that
         for name, value in (ENVIRONMENT | variables).items():
             patch.setenv(name, value)

@@ -198,10 +198,10 @@ def test_a_card_of_before_there_were_recipes_is_read(agent):
 def test_shipped_agent_does_what_its_card_says():
     card = read_card(SHIPPED / "reach_ppo.json")
     assert card.training_minutes <= 20
-    results = evaluate("reach_ppo", episodes=1000, seed=card.evaluation.seed, worlds=64, lower_bound_steps=False)
+    results = evaluate("reach_ppo", episodes=200, seed=card.evaluation.seed, worlds=64, lower_bound_steps=False)
     assert results.success.mean() == pytest.approx(card.evaluation.success_rate, abs=0.01)
     assert results.success.mean() >= 0.95
-    elsewhere = evaluate("reach_ppo", episodes=500, seed=77, worlds=64, lower_bound_steps=False)
+    elsewhere = evaluate("reach_ppo", episodes=100, seed=77, worlds=64, lower_bound_steps=False)
     assert elsewhere.success.mean() >= 0.95
 
 

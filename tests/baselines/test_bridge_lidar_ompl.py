@@ -18,7 +18,7 @@ NAME = "bridge_lidar_ompl"
 @pytest.mark.one_case
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.9), (MOVING, 0.8)])
 def test_it_crosses_by_its_sensors(env, least, sized):
-    results = evaluate(NAME, env, episodes=sized(2, 16), seed=101, worlds=sized(2, 16))
+    results = evaluate(NAME, env, episodes=sized(2, 6), seed=101, worlds=sized(2, 6))
     assert results.success.mean() >= least
     assert results.length[results.success].mean() < 140
 
@@ -26,7 +26,7 @@ def test_it_crosses_by_its_sensors(env, least, sized):
 @pytest.mark.slow
 @pytest.mark.parametrize(("disturbances", "least"), [({"noise": 0.1}, 0.9), ({"dropout": 0.25}, 0.8)])
 def test_noise_and_lost_pictures_are_survived(disturbances, least):
-    results = evaluate(NAME, STATIC, episodes=10, seed=130, worlds=10, env_options={"disturbances": disturbances})
+    results = evaluate(NAME, STATIC, episodes=5, seed=130, worlds=5, env_options={"disturbances": disturbances})
     assert results.success.mean() >= least
 
 

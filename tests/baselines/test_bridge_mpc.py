@@ -14,7 +14,7 @@ from .driving import FAST, MOVING, STATIC, check_distances
 @pytest.mark.one_case
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_it_crosses_nearly_always_and_decides_in_time(env, sized):
-    results = evaluate("bridge_mpc", env, episodes=sized(2, 50), seed=0, worlds=1, env_options=FAST)
+    results = evaluate("bridge_mpc", env, episodes=sized(2, 12), seed=0, worlds=1, env_options=FAST)
     assert results.success.mean() >= 0.97
     assert results.length[results.success].mean() < 105
     assert results.decision_ms_p50.median() < 100
@@ -48,7 +48,7 @@ def test_it_keeps_its_distance_and_always_has_a_solution(monkeypatch):
 @pytest.mark.parametrize(("disturbances", "least"), [({"payload": 40.0}, 0.8), ({"strength": 0.2}, 0.3)])
 def test_rovers_that_hardly_turn_cross(disturbances, least):
     options = {**FAST, "disturbances": disturbances}
-    results = evaluate("bridge_mpc", STATIC, episodes=10, seed=100, worlds=10, env_options=options)
+    results = evaluate("bridge_mpc", STATIC, episodes=5, seed=100, worlds=5, env_options=options)
     assert results.success.mean() >= least
 
 

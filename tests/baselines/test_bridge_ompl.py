@@ -16,7 +16,7 @@ from .driving import FAST, MOVING, STATIC, check_distances
 @pytest.mark.one_case
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.99), (MOVING, 0.97)])
 def test_it_crosses_nearly_always(env, least, sized):
-    results = evaluate("bridge_ompl", env, episodes=sized(4, 100), seed=0, worlds=sized(4, 40), env_options=FAST)
+    results = evaluate("bridge_ompl", env, episodes=sized(4, 24), seed=0, worlds=sized(4, 24), env_options=FAST)
     assert results.success.mean() >= least
     assert results.length[results.success].mean() < 150
 
@@ -41,7 +41,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
 
 
 def test_it_keeps_its_distance_from_all_that_walks_and_stands(sized):
-    check_distances("bridge_ompl", n=sized(2, 10), decisions=400, to_obstacles=0.28, to_people=0.22)
+    check_distances("bridge_ompl", n=sized(2, 4), decisions=400, to_obstacles=0.28, to_people=0.22)
 
 
 def test_it_refuses_other_tasks():
@@ -68,7 +68,7 @@ def crossing_time(bridge, radius, speed=1.0, limit=60.0, cell=0.1):
 
 
 def test_a_patient_driver_always_gets_through(sized):
-    n = sized(6, 40)
+    n = sized(6, 12)
     env: Any = gymnasium.make_vec(MOVING, num_envs=n, **FAST)
     env.reset(seed=11)
     times = [crossing_time(env.unwrapped.task.map(world), radius=0.35) for world in range(n)]

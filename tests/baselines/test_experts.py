@@ -13,7 +13,7 @@ from armctl.study import compare
 
 
 def test_reach_ik_reaches_every_reachable_target(sized):
-    results = evaluate("reach_ik", episodes=sized(50, 1000), seed=0, worlds=10, lower_bound_steps=False)
+    results = evaluate("reach_ik", episodes=sized(50, 200), seed=0, worlds=10, lower_bound_steps=False)
     assert results.success.all()
     assert results.length.mean() < 12
 
@@ -79,7 +79,7 @@ def test_random_is_the_same_in_every_run_and_seldom_lucky():
 
 
 def test_reach_mpc_reaches_and_keeps_all_limits(sized):
-    n = sized(4, 60)
+    n = sized(4, 20)
     results = evaluate("reach_mpc", episodes=n, seed=4, worlds=n)
     assert results.success.all()
     assert results.optimality_gap.median() < 0.3
@@ -88,7 +88,7 @@ def test_reach_mpc_reaches_and_keeps_all_limits(sized):
 @pytest.mark.one_case
 @pytest.mark.parametrize(("policy", "error"), [("reach_mpc", 0.012), ("reach_ik", 0.02)])
 def test_experts_follow_a_moving_target(policy, error, sized):
-    env, n = "armctl/ArmReachMoving-v0", sized(6, 30)
+    env, n = "armctl/ArmReachMoving-v0", sized(6, 10)
     results = evaluate(policy, env, episodes=n, seed=5, worlds=n, lower_bound_steps=False)
     assert results.success.mean() >= 0.8
     assert results.tracking_error.mean() < error
@@ -111,7 +111,7 @@ def test_unprepared_reach_ik_follows_by_what_it_observes_alone():
 
 @pytest.mark.parametrize("robot", ["ur5", *(pytest.param(name, marks=pytest.mark.slow) for name in ("z1", "xarm7"))])
 def test_reach_ompl_gets_around_obstacles_without_a_touch(robot, sized):
-    env, n = "armctl/ArmReachObstacles-v0", sized(3, 25)
+    env, n = "armctl/ArmReachObstacles-v0", sized(3, 12)
     results = evaluate(
         "reach_ompl", env, episodes=n, seed=6, worlds=n, env_options={"robot": robot}, lower_bound_steps=False
     )
@@ -130,7 +130,7 @@ def test_reach_mpc_gets_around_boxes_on_arms_given_by_a_file_alone(robot):
 
 
 def test_reach_mpc_gets_around_boxes(sized):
-    env, n = "armctl/ArmReachObstacles-v0", sized(2, 50)
+    env, n = "armctl/ArmReachObstacles-v0", sized(2, 15)
     results = evaluate("reach_mpc", env, episodes=n, seed=1, worlds=n, lower_bound_steps=False)
     assert (results.outcome == "reached").mean() >= 0.9
 
@@ -161,7 +161,7 @@ def test_position_experts_refuse_other_controls_and_observations(policy):
 
 
 def test_no_expert_is_faster_than_possible_by_more_than_a_control_step(sized):
-    n = sized(10, 200)
+    n = sized(10, 50)
     comparison = compare(["reach_ik", "reach_mpc", "reach_ppo"], episodes=n, seed=7, worlds=40)
     assert not comparison.failures
     assert (comparison.episodes.length >= comparison.episodes.lower_bound_steps - 1).all()

@@ -37,7 +37,7 @@ def test_experts_play_with_the_control_that_they_declare_unless_another_is_reque
     ],
 )
 def test_floors_reach(name, disturbances, success, sized):
-    n, options = sized(10, 100), {"disturbances": disturbances}
+    n, options = sized(10, 30), {"disturbances": disturbances}
     results = evaluate(name, episodes=n, seed=100, worlds=n, env_options=options, lower_bound_steps=False)
     assert results.success.mean() >= success
 

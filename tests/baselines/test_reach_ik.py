@@ -75,7 +75,7 @@ def test_undisturbed_it_plans_once():
 def test_it_reaches_with_noisy_readings_and_links_of_other_lengths(disturbances, success, sized):
     options = {"disturbances": disturbances}
     results = evaluate(
-        "reach_ik", episodes=sized(30, 200), seed=0, worlds=30, env_options=options, lower_bound_steps=False
+        "reach_ik", episodes=sized(30, 60), seed=0, worlds=30, env_options=options, lower_bound_steps=False
     )
     assert results.success.mean() >= success
 

@@ -183,7 +183,7 @@ def test_joints_that_are_off_their_drives_stop_freely(model, played):
 
 
 def test_jerk_limited_paths_are_smoother_and_free(sized):
-    n = sized(6, 50)
+    n = sized(6, 20)
 
     def results(policy, **options):
         return evaluate(policy, OBSTACLES, episodes=n, seed=100, worlds=n, env_options=options, lower_bound_steps=False)
@@ -206,13 +206,13 @@ def test_an_arm_that_leaves_its_trajectory_goes_on_by_sight(disturbances):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("disturbances", "unprepared", "prepared"),
-    [({}, 59, 59), ({"noise": 0.05}, 15, 48), ({"delay": 8}, 48, 58), ({"mismatch": 0.1}, 40, 50)],
+    [({}, 20, 20), ({"noise": 0.05}, 5, 16), ({"delay": 8}, 17, 19), ({"mismatch": 0.1}, 13, 17)],
 )
 def test_it_is_prepared_for_noise_delay_and_links_of_other_lengths(disturbances, unprepared, prepared):
-    """Of 60 episodes, it reaches so many at least, and without estimates so few at most, unless nothing disturbs."""
+    """Of 20 episodes, it reaches so many at least, and without estimates so few at most, unless nothing disturbs."""
     successes = [
         evaluate(
-            policy, OBSTACLES, episodes=60, seed=302, worlds=20, env_options={"disturbances": disturbances},
+            policy, OBSTACLES, episodes=20, seed=302, worlds=20, env_options={"disturbances": disturbances},
             lower_bound_steps=False,
         ).success.sum()
         for policy in (UNPREPARED, "reach_ompl")

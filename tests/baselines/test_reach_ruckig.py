@@ -36,7 +36,7 @@ def test_the_commanded_motion_is_at_the_limit_of_jerk_and_never_beyond(disturban
 
 @pytest.mark.parametrize("control", ["position", "relative", "delta", "velocity"])
 def test_it_reaches_with_every_command_of_drives(control, sized):
-    n = sized(10, 100)
+    n = sized(10, 25)
     options = {"control": control}
     results = evaluate("reach_ruckig", episodes=n, seed=101, worlds=n, env_options=options, lower_bound_steps=False)
     assert results.success.all()
@@ -53,7 +53,7 @@ def test_gentler_motions_take_longer(share):
 
 
 def test_it_stays_beside_a_moving_target(sized):
-    n = sized(5, 50)
+    n = sized(5, 12)
     env = "armctl/ArmReachMoving-v0"
     results = evaluate("reach_ruckig", env, episodes=n, seed=100, worlds=n, lower_bound_steps=False)
     assert results.success.all()
@@ -61,7 +61,7 @@ def test_it_stays_beside_a_moving_target(sized):
 
 
 def test_among_boxes_it_moves_only_where_it_is_free(sized):
-    n = sized(8, 50)
+    n = sized(8, 20)
     env = "armctl/ArmReachObstacles-v0"
     results = evaluate("reach_ruckig", env, episodes=n, seed=100, worlds=n, lower_bound_steps=False)
     assert (results.outcome == "reached").mean() >= 0.6

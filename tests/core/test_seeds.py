@@ -19,7 +19,7 @@ from armctl.study.reproduce import reproduce
 from armctl.tasks import ReachTask
 from armctl.training.learners import load_recipe
 
-from ..command_line import program
+from .. import command_line
 
 VERBS = {
     "compare": lambda seed, tmp: compare(["random"], episodes=1, seed=seed, out=tmp / "out"),
@@ -72,9 +72,8 @@ def test_the_command_line_refuses_other_names(seed):
     assert "whole number" in ran.stderr
 
 
-@pytest.mark.slow
 def test_the_command_line_says_so(tmp_path):
-    ran = program("compare", "random", "--episodes", "1", "--seed", "1000000000", cwd=tmp_path, check=False)
+    ran = command_line.armctl("compare", "random", "--episodes", "1", "--seed", "1000000000", cwd=tmp_path, check=False)
     assert ran.returncode != 0
     assert "are for training" in " ".join(ran.stderr.split())
 

@@ -14,7 +14,7 @@ from armctl.robot_description import load_arm
 from armctl.study import compare
 from armctl.study.results import read_comparison
 
-from ..command_line import program
+from ..command_line import armctl
 from ..stores import one_cell, read_cell, timeless
 from .stored import contents, edit
 
@@ -139,21 +139,19 @@ def still(observation):
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("edited", ["still.py", "helper.py"])
 def test_edited_code_is_another_comparison(tmp_path, edited):
-    """Each run in a process of its own: Python does not notice that a module has changed."""
     (tmp_path / "still.py").write_text(STILL)
     (tmp_path / "helper.py").write_text("GAIN = 1.0\n")
     command = ["compare", "still.py:still", "--episodes", "2", "--out", "out", "--set", "max_episode_steps=3"]
-    program(*command, cwd=tmp_path)
-    assert "were finished by an earlier run" in program(*command, cwd=tmp_path).stdout
+    armctl(*command, cwd=tmp_path)
+    assert "were finished by an earlier run" in armctl(*command, cwd=tmp_path).stdout
     with (tmp_path / edited).open("a") as file:
         file.write("# another gain\n")
-    refused = program(*command, cwd=tmp_path, check=False)
+    refused = armctl(*command, cwd=tmp_path, check=False)
     assert refused.returncode == 2
     assert f"code: {edited}" in refused.stderr
-    program(*command, "--overwrite", cwd=tmp_path)
+    armctl(*command, "--overwrite", cwd=tmp_path)
 
 
 @pytest.mark.slow

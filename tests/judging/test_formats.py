@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -133,12 +132,16 @@ def test_stable_baselines3(tmp_path):
 
 
 @pytest.mark.slow
-def test_logs_that_rl_zoo_itself_writes(tmp_path):
+def test_logs_that_rl_zoo_itself_writes(tmp_path, monkeypatch):
     pytest.importorskip("rl_zoo3")
+    from rl_zoo3.train import train
+
+    monkeypatch.chdir(tmp_path)
     for algorithm, seed in (("a2c", 1), ("ppo", 1), ("ppo", 2)):
         options = ("--eval-freq", "100", "--eval-episodes", "5", "--n-eval-envs", "1", "-f", "logs", "--seed", seed)
-        command = [sys.executable, "-m", "rl_zoo3.train", "--algo", algorithm, "--env", "CartPole-v1", "-n", "300"]
-        subprocess.run([*command, *map(str, options)], cwd=tmp_path, check=True, capture_output=True)
+        command = ["train", "--algo", algorithm, "--env", "CartPole-v1", "-n", "300", *map(str, options)]
+        monkeypatch.setattr(sys, "argv", command)
+        train()
     comparison = judge(tmp_path / "logs").overall
     assert (comparison.env, comparison.names) == ("CartPole-v1", ["a2c", "ppo[*]"])
     written = np.load(tmp_path / "logs" / "a2c" / "CartPole-v1_1" / "evaluations.npz")

@@ -12,7 +12,7 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.judging import judge
 from armctl.judging.log import TrialLog, entry_of
 
-from ..command_line import armctl, program
+from ..command_line import armctl
 
 
 @pytest.fixture
@@ -193,4 +193,4 @@ def test_a_pipe_is_as_good_as_a_terminal_and_a_full_disk_loses_nothing(tmp_path)
     with full_disk(len(before)), pytest.raises(ResultsError, match="cannot be written"):
         log.add(True, None, "")
     assert TrialLog.read(tmp_path / "arm.csv").rows == log.rows
-    assert program("judge", "arm.csv", cwd=tmp_path).stdout.startswith("No verdict from 1 episode")
+    assert armctl("judge", "arm.csv", cwd=tmp_path).stdout.startswith("No verdict from 1 episode")

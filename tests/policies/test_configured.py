@@ -31,7 +31,7 @@ def short(tmp_path):
 
 
 def test_it_acts_by_its_own_options(short):
-    both = compare({"usual": "reach_mpc", "short": str(short)}, REACH, episodes=3).results.by_policy()
+    both = compare({"usual": "reach_mpc", "short": str(short)}, REACH, episodes=2).results.by_policy()
     usual, shorter = ([one.total_reward for one in played] for played in both.values())
     assert usual != shorter
     worlds = make_worlds(REACH, 2)
@@ -65,8 +65,8 @@ def test_the_files_beside_experts_have_their_present_options(name, monkeypatch):
         return changes[-1][1]
 
     monkeypatch.setattr(home, "changed_options", changed)
-    policies, short_episodes = {"plain": name, "same": str(configurations()[name])}, {"max_episode_steps": 50}
-    plain, same = compare(policies, told.env, episodes=2, env_options=short_episodes).policies
+    policies, short_episodes = {"plain": name, "same": str(configurations()[name])}, {"max_episode_steps": 25}
+    plain, same = compare(policies, told.env, episodes=1, env_options=short_episodes).policies
     assert plain.episode_return.value == same.episode_return.value
     assert changes
     assert all(with_options == usual for usual, with_options in changes)
@@ -116,7 +116,10 @@ def test_it_can_be_named_from_elsewhere(short, monkeypatch):
 @pytest.mark.slow
 def test_a_name_has_options(short, tmp_path):
     named, usual = "reach_mpc:problem.horizon=4", "reach_mpc"
-    study = compare([usual, named, str(short)], REACH, episodes=3, workers=2, out=tmp_path / "results")
+    short_episodes: Any = {"max_episode_steps": 20}
+    study = compare(
+        [usual, named, str(short)], REACH, episodes=2, workers=2, out=tmp_path / "results", env_options=short_episodes
+    )
     returns = {name: [one.total_reward for one in played] for name, played in study.results.by_policy().items()}
     assert returns[named] == returns[str(short)] != returns[usual]
     assert "named on the command line" not in write_report(tmp_path / "results", video=True).read_text()

@@ -51,12 +51,13 @@ def stop_everything_at(time, monkeypatch):
 
 
 def actions_before_the_change(name, env, change=lambda time: None):
-    with closing(WorldsByInterface(env, NUM_ENVS)) as interfaces:
+    n = 2 if name in DELIBERATE - FORESEEING else NUM_ENVS
+    with closing(WorldsByInterface(env, n)) as interfaces:
         worlds = interfaces.of(name)
         policy = make_policy(name, worlds, policy_seed=1)
-        observations, _ = worlds.reset(seed=[5] * NUM_ENVS, options={"episode": list(range(NUM_ENVS))})
+        observations, _ = worlds.reset(seed=[5] * n, options={"episode": list(range(n))})
         change((STEPS - 1) * worlds.control_period + 1e-6)
-        policy.reset(np.arange(NUM_ENVS, dtype=np.int32))
+        policy.reset(np.arange(n, dtype=np.int32))
         actions = []
         for _ in range(STEPS):
             actions.append(np.array(policy.act(observations)))

@@ -16,7 +16,7 @@ from armctl.rollout.real_time import RealTime, RealTimePolicy, RecordedTimes, ch
 from armctl.study import compare, sweep
 from armctl.study.results import read_comparison
 
-from ..command_line import program
+from .. import command_line
 from ..holding_still import HoldsStill
 
 BRIDGE = "armctl/BridgeCross-v0"
@@ -314,8 +314,8 @@ def test_a_sweep_that_cannot_be_in_real_time_is_refused(recorded, tmp_path, argu
 @pytest.mark.slow
 def test_real_time_at_the_command_line(tmp_path):
     few = ("random", "--env", "Pendulum-v1", "--episodes", "1", "--set", "max_episode_steps=3")
-    printed = program("compare", *few, "--real-time", "measured", "--slow-down", "2", cwd=tmp_path).stdout
+    printed = command_line.armctl("compare", *few, "--real-time", "measured", "--slow-down", "2", cwd=tmp_path).stdout
     assert "In real time: a decision that takes longer than the control period, 50 ms," in printed
-    printed = program("sweep", *few, "--slow-down", "1,30", "--format", "markdown", cwd=tmp_path).stdout
+    printed = command_line.armctl("sweep", *few, "--slow-down", "1,30", "--format", "markdown", cwd=tmp_path).stdout
     assert "slow-down, times the decision times" in printed
     assert "noise" not in printed

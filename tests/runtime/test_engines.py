@@ -17,6 +17,7 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.core.search_space import Range
 from armctl.datasets.collect import collect
+from armctl.runtime import engines
 from armctl.runtime.engines import Dask, Local, Ray, connect
 from armctl.simulation.threads import THREADS_ENV_VAR
 from armctl.study import compare, sweep
@@ -304,7 +305,8 @@ def test_a_sweep_with_a_policy_of_ones_own(shared_dask):
         ("dask://127.0.0.1:9", "no scheduler of Dask answers"),
     ],
 )
-def test_what_cannot_be_reached_is_told(address, says):
+def test_what_cannot_be_reached_is_told(address, says, monkeypatch):
+    monkeypatch.setattr(engines, "PATIENCE", 0.5)
     with pytest.raises(ConfigurationError, match=says):
         connect(address)
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-import armctl
+from armctl import __file__ as package
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.envs import make_worlds
 from armctl.runtime import identity as identity_module
 from armctl.runtime.identity import checksum_of_core, checksums_of_code, identity
 
-from ..command_line import program
+from ..command_line import armctl
 from .resuming import plays
 
 SCRIPT = """
@@ -58,17 +58,16 @@ def test_a_script_that_runs_again_resumes_and_an_edited_one_does_not(tmp_path, b
     assert "ResultsError" in run(0.9, "3").stderr
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("lazy", [True, False])
-def test_an_import_within_a_function_counts(tmp_path, lazy):
+def test_an_import_within_a_function_counts(tmp_path, lazy, monkeypatch):
     body = "def pd(observation):\n    from gains import G\n    return observation[3:9] * G\n"
     (tmp_path / "mine.py").write_text(body if lazy else "from gains import G\n" + body)
     (tmp_path / "gains.py").write_text("G = 0.1\n")
     command = ["compare", "mine.py:pd", "--episodes", "2", "--out", "out", "--set", "max_episode_steps=3"]
-    first = program(*command, cwd=tmp_path, check=lazy is False, PYTHONPATH=str(tmp_path))
-    assert first.returncode == 0, first.stderr
+    monkeypatch.syspath_prepend(tmp_path)
+    armctl(*command, cwd=tmp_path)
     (tmp_path / "gains.py").write_text("G = 0.9\n")
-    refused = program(*command, cwd=tmp_path, check=False, PYTHONPATH=str(tmp_path))
+    refused = armctl(*command, cwd=tmp_path, check=False)
     assert "code: gains.py" in refused.stderr
 
 
@@ -86,7 +85,6 @@ class Maze(PendulumEnv):
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "steps", "g"), [("registered", 60, 10.0), ("registered", 50, 3.0), ("code: maze.py", 50, 10.0)]
 )
@@ -95,12 +93,12 @@ def test_an_environment_that_is_registered_or_made_otherwise(tmp_path, changed, 
     (tmp_path / "maze.py").write_text(MAZE)
     (tmp_path / "reg.py").write_text(REGISTERED.format(steps=50, g=10.0))
     command = ["compare", "random", "--env", "reg:mine/M-v0", "--episodes", "2", "--out", "out"]
-    program(*command, cwd=tmp_path)
-    assert "finished by an earlier run" in program(*command, cwd=tmp_path).stdout
+    armctl(*command, cwd=tmp_path)
+    assert "finished by an earlier run" in armctl(*command, cwd=tmp_path).stdout
     (tmp_path / "reg.py").write_text(REGISTERED.format(steps=steps, g=g))
     if "maze" in changed:
         (tmp_path / "maze.py").write_text(MAZE + "# edited\n")
-    assert changed in program(*command, cwd=tmp_path, check=False).stderr
+    assert changed in armctl(*command, cwd=tmp_path, check=False).stderr
 
 
 def test_a_module_that_was_edited_after_its_import_is_not_what_runs(tmp_path, monkeypatch):
@@ -217,7 +215,7 @@ def test_an_edit_of_armctls_source_changes_the_identity(tmp_path, monkeypatch):
         "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith('armctl.') and hasattr(m, '__file__')])"
     )
     output = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
-    root = Path(armctl.__file__).parent
+    root = Path(package).parent
     needed = [Path(name).relative_to(root) for name in output.split() if Path(name).is_relative_to(root)]
     folders = {path.parts[0] for path in needed}
     assert {"envs", "kernels", "policies", "rollout", "simulation", "study", "tasks"} <= folders

@@ -27,14 +27,14 @@ SHORT = [("ArmReach-v0", "position"), ("ArmReach-v0", "torque"), ("BridgeCross-v
     [*SHORT, *(pytest.param(*case, marks=pytest.mark.thorough) for case in CASES if case not in SHORT)],
 )
 def test_hostile_actions_keep_within_bounds(env, control):
-    check(env, control, 2000, {}, "none")
+    check(env, control, 1000, {}, "none")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env", ["ArmReach-v0", "BridgeCross-v0"])
 def test_all_disturbances_at_their_strongest_are_stable(env):
     levels = soak["highest_levels"](env) | {"strength": 1.0}
-    check(env, "torque" if env == "ArmReach-v0" else "velocity", 1500, levels, "all")
+    check(env, "torque" if env == "ArmReach-v0" else "velocity", 750, levels, "all")
 
 
 def test_the_meter_sees_what_it_should():

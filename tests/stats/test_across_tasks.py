@@ -71,7 +71,7 @@ def test_equal_success_is_decided_by_return_and_then_by_order():
 @pytest.mark.parametrize("episodes", [50, 1000])
 def test_a_choice_costs_neither_the_test_nor_the_interval_anything(kinds, episodes, sized):
     """All are equally good: the test at 5 % errs in 5 % of all cases at most, and the interval holds in 95 %."""
-    rng, runs, errors, misses, gains = np.random.default_rng(0), sized(100, 1000), 0, 0, []
+    rng, runs, errors, misses, gains = np.random.default_rng(0), sized(100, 300), 0, 0, []
     for _ in range(runs):
         success = pd.DataFrame(rng.random((episodes, 6)) < 0.8, columns=list("abcdef"), dtype=float)
         choices = [choose(success, success, list(names)) for names in kinds.split()]
@@ -101,7 +101,7 @@ def test_what_stops_early_is_chosen_by_the_first_episodes():
 @pytest.mark.parametrize("rate", [0.6, 0.95])
 def test_whoever_stops_at_the_first_claim_errs_seldom(rate, sized):
     """All are equally good: 5 % of all studies claim at any look that one is better, at most."""
-    rng, runs, errors, ends = np.random.default_rng(0), sized(20, 60), 0, block_ends(400)[3:]
+    rng, runs, errors, ends = np.random.default_rng(0), sized(20, 30), 0, block_ends(400)[3:]
     for _ in range(runs):
         success = pd.DataFrame(rng.random((400, 6)) < rate, columns=list("abcdef"), dtype=float)
         for n in ends:
@@ -171,7 +171,7 @@ def test_a_mean_over_tasks_is_that_of_one_task_and_narrower_for_several():
 @pytest.mark.parametrize("rates", ["95 to 100 %", "99 %", "99.9 %", "one of 97 %"])
 def test_means_over_tasks_near_one_hundred_percent_miss_on_neither_side(tasks, rates, sized, monkeypatch):
     monkeypatch.setattr(statistics, "DRAWS", 500)
-    runs, rng = sized(60, 150), np.random.default_rng(0)
+    runs, rng = sized(60, 100), np.random.default_rng(0)
     shares = {
         "95 to 100 %": np.linspace(0.95, 1, tasks), "99 %": np.full(tasks, 0.99), "99.9 %": np.full(tasks, 0.999),
         "one of 97 %": np.r_[0.97, np.ones(tasks - 1)],

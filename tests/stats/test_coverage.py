@@ -36,7 +36,7 @@ def misses(found, truth):
 
 @pytest.mark.parametrize(("n", "failures"), CASES)
 def test_intervals_of_returns_hold_however_rare_failures_are(n, failures, sized):
-    rng, runs = np.random.default_rng(0), sized(40, RUNS)
+    rng, runs = np.random.default_rng(0), sized(40, 150)
     found = [bounded_mean(returns(rng, n, failures), BOUNDS) for _ in range(runs)]
     assert max(misses(found, -100 * failures + 88 * (1 - failures))) <= allowed(0.025, runs)
 
@@ -50,7 +50,7 @@ def test_students_interval_does_not_hold_for_rare_failures():
 @pytest.mark.parametrize("failures", [0.002, 0.02, 0.3])
 @pytest.mark.parametrize("n", [50, 200])
 def test_intervals_of_the_worst_tenth_hold(n, failures, sized):
-    rng, runs = np.random.default_rng(0), sized(40, RUNS)
+    rng, runs = np.random.default_rng(0), sized(40, 150)
     truth = float(np.sort(returns(rng, 200_000, failures))[:20_000].mean())
     found = [worst_decile(returns(rng, n, failures), BOUNDS) for _ in range(runs)]
     assert max(misses(found, truth)) <= allowed(0.025, runs)

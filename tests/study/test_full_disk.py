@@ -1,7 +1,11 @@
 """On a full disk: one clear line, a status that says so, and nothing half-written under a final name."""
 
+import json
+import shutil
+
 import pytest
 
+from armctl.policies.trainings import card_path
 from armctl.study.results import read_study
 
 from ..command_line import armctl, program
@@ -48,7 +52,11 @@ def test_a_report_on_a_full_disk_leaves_the_old_one(tmp_path):
 
 @pytest.mark.slow
 def test_agents_are_reproduced_without_a_disk(tmp_path):
-    done = program("reproduce", "reach_ppo", "--seed", "1", cwd=tmp_path, check=False, disk=0)
+    shipped = card_path("reach_ppo")
+    card = json.loads(shipped.read_text())
+    (tmp_path / "agent.json").write_text(json.dumps(card | {"evaluation": card["evaluation"] | {"episodes": 10}}))
+    shutil.copy(shipped.with_suffix(".onnx"), tmp_path / "agent.onnx")
+    done = program("reproduce", "agent.json", "--seed", "1", cwd=tmp_path, check=False, disk=0)
     assert done.returncode in (0, 1)
     assert "Traceback" not in done.stderr
-    assert "reach_ppo" in done.stdout
+    assert card["name"] in done.stdout

@@ -25,7 +25,8 @@ COMMANDS = {
     "sweep": ["sweep", *PLAYED, "--episodes", "12", "--disturbance", "delay=1,2", "--disturbance", "noise=0.02"],
 }
 EPISODES = {"compare": 120, "workers": 120, "until": 40, "sweep": 96}
-KILLS = 3
+KILLS = {("compare", False): 2, ("sweep", False): 2, ("workers", False): 1, ("workers", True): 1, ("until", False): 1}
+"""Kills of a run, or of its workers, before it may finish."""
 
 
 def finished(out):
@@ -77,20 +78,10 @@ def kill_at(moment, command, cwd, rng, of_worker):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", [0, *(pytest.param(trial, marks=pytest.mark.thorough) for trial in range(1, 6))])
-@pytest.mark.parametrize(
-    ("verb", "of_worker"),
-    [
-        ("compare", False),
-        ("workers", False),
-        ("workers", True),
-        ("until", False),
-        ("sweep", False),
-    ],
-)
-def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial, sized):
-    """In a quick run, it is killed once."""
+@pytest.mark.parametrize(("verb", "of_worker"), KILLS)
+def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial):
     out, kept, rng = tmp_path / "out", {}, random.Random(trial)
-    for _ in range(sized(1, KILLS)):
+    for _ in range(3 if trial else KILLS[verb, of_worker]):
         kill_at(rng.randrange(max(1, EPISODES[verb] - len(kept))), COMMANDS[verb], tmp_path, rng, of_worker)
         now = finished(out)
         assert kept.items() <= now.items()

@@ -117,7 +117,7 @@ CARDS = sorted(card_path("reach_ppo").parent.glob("*.json"))
 )
 def test_every_shipped_agent_does_about_what_its_card_says(card, tmp_path, sized):
     """On some of the episodes: `armctl reproduce` plays all."""
-    n = sized(4, 40) if "bridge" in card.stem else sized(12, 100)
+    n = sized(4, 12) if "bridge" in card.stem else sized(12, 40)
     for suffix in (".json", ".onnx"):
         shutil.copy(card.with_suffix(suffix), tmp_path / f"agent{suffix}")
     edit(tmp_path / "agent.json", episodes=n)
@@ -147,7 +147,7 @@ def test_honest_agents_are_rarely_called_dishonest_on_other_episodes(rate, sized
         steps = np.where(won, rng.integers(8, 20, 200), 75)
         return claims(won, np.where(won, 90.0, 0.0) - steps, steps).model_copy(update={"seed": seed})
 
-    refused = [not Reproduction(card, evaluation(0), evaluation(1)).agrees for _ in range(sized(100, 500))]
+    refused = [not Reproduction(card, evaluation(0), evaluation(1)).agrees for _ in range(sized(100, 200))]
     assert np.mean(refused) <= 0.07
 
 

@@ -137,7 +137,7 @@ def test_sweeps_and_suites_tell_looks_too_also_overwritten_ones(tmp_path, monkey
     swept = armctl.sweep(BOTH["policies"], disturbances={"payload": [0, 2]}, episodes=10, **options)
     swept = armctl.sweep(BOTH["policies"], disturbances={"payload": [0, 2]}, episodes=12, overwrite=True, **options)
     assert LOOKED.format(10) in str([part.text for part in swept.document().parts if hasattr(part, "text")])
-    suite: Any = {"envs": ["ArmReach-v0"], "quick": True, "out": tmp_path / "suite"}
+    suite: Any = {"envs": ["ArmReach-v0"], "quick": True, "worlds": 13, "out": tmp_path / "suite"}
     armctl.suite(**suite, episodes=10)
     for result in (armctl.suite(**suite, episodes=12), armctl.suite(**suite, episodes=13, overwrite=True)):
         (verdict,) = result.verdicts

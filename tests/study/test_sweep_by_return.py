@@ -16,7 +16,7 @@ EPISODES = 100
 @pytest.fixture
 def runs(sized):
     """Number of simulated sweeps."""
-    return range(sized(30, 120))
+    return range(sized(30, 60))
 
 
 def returns(rng, better):

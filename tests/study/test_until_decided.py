@@ -168,7 +168,7 @@ def test_blocks_do_not_depend_on_where_a_run_ended():
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     folder = tmp_path_factory.mktemp("swept")
-    return sweep(**UNTIL, disturbances={"noise": [0.01, 0.02]}, out=folder), folder
+    return sweep(**UNTIL, disturbances={"noise": [0.01, 0.02]}, worlds=10, out=folder), folder
 
 
 def test_each_level_of_a_sweep_stops_by_itself(swept):
@@ -200,7 +200,7 @@ def stopped_suite(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("armctl.study.suite_plan.line_up", lambda env, one_of_each: ("random", "reach_ik", "reach_ppo"))
         patch.setattr("armctl.study.suite_plan.main_disturbances", lambda env, size: {"delay": [0, 20]})
-        yield suite(["armctl/ArmReach-v0"], episodes=60, until="decided", out=folder), folder
+        yield suite(["armctl/ArmReach-v0"], episodes=60, until="decided", worlds=10, out=folder), folder
 
 
 @pytest.mark.slow

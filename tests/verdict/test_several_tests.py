@@ -45,7 +45,7 @@ def without_plans(monkeypatch):
 @pytest.mark.usefixtures("without_plans")
 @pytest.mark.parametrize("policies", [2, 3])
 def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts_at_most(policies, sized):
-    rng, runs = np.random.default_rng(policies), sized(60, 300)
+    rng, runs = np.random.default_rng(policies), sized(60, 150)
     names, wrong = ["reach_ik", "reach_ppo", "reach_mpc"][:policies], 0
     for _ in range(runs):
         won = dict(zip(names, rng.random((policies, 60)) < 0.5, strict=True))
@@ -59,7 +59,7 @@ def test_of_equally_good_policies_anything_is_told_in_five_of_a_hundred_verdicts
 @pytest.mark.parametrize("agents", [2, 9])
 def test_the_interval_of_the_chosen_pair_holds(agents, sized):
     # With one planner and nine agents, the chosen pair's own 95 % interval holds in 88 % of comparisons.
-    rng, runs = np.random.default_rng(0), sized(60, 300)
+    rng, runs = np.random.default_rng(0), sized(60, 150)
     more = ("moving_dagger", "reach_cloned_ppo", "reach_robust_ppo", "bridge_ppo")
     names, held = ["reach_ik", *(*AGENTS, *more)[:agents]], 0
     for _ in range(runs):
@@ -141,11 +141,12 @@ def test_equivalence_is_for_all_pairs_among_which_the_best_were_chosen():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_plans")
+@pytest.mark.usefixtures("without_plans")
 def test_the_best_of_many_is_not_equivalent_for_being_the_best():
     # One planner of 98 %, five agents of 96 %: without correction, 17 % of verdicts claimed equivalence.
     rng = np.random.default_rng(0)
     claimed = 0
-    for _ in range(100):
+    for _ in range(50):
         ease = (rng.normal(size=1000) + rng.normal(size=(6, 1000))) / 2**0.5
         won = ease < stats.norm.ppf([0.98, *[0.96] * 5])[:, None]
         names = ["reach_ik", *AGENTS]
@@ -157,7 +158,7 @@ def test_the_best_of_many_is_not_equivalent_for_being_the_best():
         ]
         text = text_of([summary_of(name, of) for name, of in zip(names, won, strict=True)], pairs)
         claimed += "are equivalent in success within 2 points" in text.partition(". ")[0]
-    assert claimed <= 9
+    assert claimed <= 5
 
 
 def test_verdicts_by_return_are_corrected_for_their_number():

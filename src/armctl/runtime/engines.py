@@ -23,6 +23,8 @@ RETRIES = 3
 """Number of times that a unit is done again whose worker was lost."""
 SILENCE = 30.0
 """s between two looks whether there are workers left, while none has finished anything."""
+PATIENCE = 10.0
+"""Time that a scheduler of Dask may take to answer, s."""
 AHEAD = 2
 """Units that wait or run on a cluster at once, per worker: so that none is idle between two units."""
 
@@ -234,7 +236,7 @@ class Dask(Cluster):
             raise missing_extra("--on dask", error, "cluster") from error
         self._dask = distributed
         try:
-            self._client = distributed.Client(address, timeout=10, set_as_default=False)
+            self._client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
         except OSError as error:
             raise ConfigurationError(f"no scheduler of Dask answers at {address}: {reason(error)}") from error
         self.workers = max(MIN_CLUSTER_WORKERS, self.count())

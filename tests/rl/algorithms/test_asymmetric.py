@@ -37,7 +37,7 @@ def untrained(chosen, out):
     ("options", "memory"),
     [({}, {}), ({"frames": 3, "frame_gap": 2}, {"past_image": [4, 6, 8], "past_motion": [4, 3], "begun": [1]})],
 )
-def test_the_agent_is_without_the_state(options, memory, tmp_path):
+def test_the_agent_is_without_the_state(options, memory, tmp_path, request):
     chosen = recipe(**options)
     card = ppo.train(chosen, out=tmp_path / "run", seed=0, progress=False)
     assert (card.observation_shape, card.memory) == ({"image": [6, 8], "motion": [3]}, memory)
@@ -51,6 +51,7 @@ def test_the_agent_is_without_the_state(options, memory, tmp_path):
     (slow, right), (fast, left) = worlds.task.action_range
     low, high = np.array((slow, right)), np.array((fast, left))
     np.testing.assert_allclose(agent.act(observations), (low + high) / 2 + (high - low) / 2 * raw, atol=1e-5)
+    request.getfixturevalue("unexported")
     more = chosen.changed(options=chosen.options | {"steps": 48})
     assert ppo.train(more, out=tmp_path / "run", seed=0, resume=True, progress=False).training_steps == 48
 
@@ -112,7 +113,7 @@ def test_the_state_shown_is_that_of_the_worlds_and_in_the_end_the_last_one(tmp_p
 
 
 @pytest.mark.slow
-def test_a_clone_may_go_on_with_a_privileged_critic(tmp_path):
+def test_a_clone_may_go_on_with_a_privileged_critic(tmp_path, unexported):
     small = {**SMALL, "cloning_steps": 3, "critic_steps": 16, "demonstrations": 2, "hidden_units": 8}
     chosen = load_recipe("cloned_ppo", BRIDGE).changed(
         teacher="bridge_ompl", shaping=None, env_options={"resolution": (8, 6)}, options=small

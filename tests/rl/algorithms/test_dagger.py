@@ -11,7 +11,7 @@ from tests.rl.small_trainings import asked, small
 
 
 @pytest.mark.slow
-def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch):
+def test_dagger_asks_the_teacher_where_the_pupil_gets_to(tmp_path, monkeypatch, unexported):
     from armctl.rl.data import demonstrations
 
     asked_in = []
@@ -49,7 +49,7 @@ def test_a_forgetful_teacher_begins_anew_in_each_state():
 
 
 @pytest.mark.slow
-def test_dagger_goes_on_after_its_last_whole_round(tmp_path, monkeypatch):
+def test_dagger_goes_on_after_its_last_whole_round(tmp_path, monkeypatch, unexported):
     from armctl.rl.algorithms import dagger as module
 
     recipe = small(
@@ -88,7 +88,7 @@ def test_rounds_need_episodes(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path):
+def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path, unexported):
     recipe = small("reach_dagger", demonstrations=2, rounds=2, steps=4, validation_episodes=2, evaluation_episodes=2)
     recipe = recipe.changed(
         env="armctl/BridgeCross-v0", env_options={"resolution": (8, 6), "max_episode_steps": 8}, teacher="bridge_ompl"

@@ -100,7 +100,7 @@ def test_the_graph_remembers_as_the_network_does_and_each_world_alone(distilled)
 
 
 @pytest.mark.slow
-def test_a_training_resumes_where_it_was(tmp_path):
+def test_a_training_resumes_where_it_was(tmp_path, unexported):
     short = recipe(steps=512, evaluation_every=256)
     first = train(short, out=tmp_path / "run", seed=0, progress=False)
     assert pd.read_csv(tmp_path / "run" / "curve.csv").steps.tolist() == [0, 256, 512]
@@ -117,7 +117,7 @@ def test_a_training_resumes_where_it_was(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupt_leaves_a_checkpoint(tmp_path, monkeypatch):
+def test_an_interrupt_leaves_a_checkpoint(tmp_path, monkeypatch, unexported):
     step = DistillationBatch._step
 
     def interrupted(batch):

@@ -90,7 +90,7 @@ def test_only_the_layers_from_memory_to_actions_change(student, privileged, tmp_
 
 
 @pytest.mark.slow
-def test_a_training_resumes(student, tmp_path):
+def test_a_training_resumes(student, tmp_path, unexported):
     chosen = recipe(student)
     trained(chosen, tmp_path / "run")
     more = chosen.changed(options=chosen.options | {"steps": 192})
@@ -98,7 +98,7 @@ def test_a_training_resumes(student, tmp_path):
 
 
 @pytest.mark.slow
-def test_stages_that_show_ranges_and_the_camera(student, tmp_path):
+def test_stages_that_show_ranges_and_the_camera(student, tmp_path, unexported):
     chosen = recipe(student).changed(
         training_options={"dynamics": "kinematic", "observation": "ranges"}, curriculum=[{"after": 0.5}]
     )

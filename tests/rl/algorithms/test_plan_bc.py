@@ -32,9 +32,9 @@ def shapes():
 
 
 @pytest.fixture(scope="module")
-def layouts(tmp_path_factory, sized):
+def layouts(tmp_path_factory):
     folder = tmp_path_factory.mktemp("layouts")
-    make(folder, sized(24, 60), 3, load_arm("ur5"), 0.05, progress=False)
+    make(folder, 24, 3, load_arm("ur5"), 0.05, progress=False)
     return read(folder)
 
 
@@ -120,7 +120,7 @@ def test_a_training_gives_an_agent_and_its_card(trained):
 
 
 @pytest.mark.slow
-def test_an_interrupted_training_resumes(tmp_path, monkeypatch):
+def test_an_interrupted_training_resumes(tmp_path, monkeypatch, unexported):
     evaluate, calls = Training.evaluate, []
 
     def interrupted(training, actor, step):

@@ -72,7 +72,7 @@ def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
 
 
 @pytest.mark.slow
-def test_a_resumed_training_goes_on_with_its_replay_buffer(trained, tmp_path):
+def test_a_resumed_training_goes_on_with_its_replay_buffer(trained, tmp_path, unexported):
     out = shutil.copytree(trained[0], tmp_path / "small")
     before = load_from_pkl(out / "checkpoints" / REPLAY)
     card = train(small(steps=1200), out=out, seed=1, resume=True, progress=False)
@@ -125,7 +125,9 @@ def test_hindsight_knows_the_plain_reward_and_observation_only(tmp_path, changes
         ("armctl/BridgeCross-v0", {"observation": "state"}, {}),
     ],
 )
-def test_other_tasks_and_rewards_are_learnt_without_hindsight(tmp_path, monkeypatch, env, env_options, changes):
+def test_other_tasks_and_rewards_are_learnt_without_hindsight(
+    tmp_path, monkeypatch, unexported, env, env_options, changes
+):
     monkeypatch.setattr(GoalVectorEnv, "__init__", None)
     short = {**env_options, "max_episode_steps": 10}
     recipe = small(steps=240, random_steps=120, evaluation_every=240, relabelled=0 if changes else 4)
@@ -144,7 +146,7 @@ def test_noise_differs_from_world_to_world():
 
 
 @pytest.mark.slow
-def test_the_rate_decays_and_the_entropy_is_tuned_to_its_target(tmp_path):
+def test_the_rate_decays_and_the_entropy_is_tuned_to_its_target(tmp_path, unexported):
     train(small(target_entropy=0.5), out=tmp_path / "small", seed=1, progress=False)
     model = checkpoint(tmp_path / "small", 800)
     assert model.target_entropy == 0.5 * 6

@@ -156,13 +156,14 @@ LEARNERS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
-def test_agents_trained_with_frames_remember_and_resume(learner, tmp_path):
+def test_agents_trained_with_frames_remember_and_resume(learner, tmp_path, request):
     train, options = LEARNERS[learner]
     chosen = recipe(learner, frames=3, frame_gap=2, evaluation_every=32, **options)
     card = train(chosen, out=tmp_path / "run", seed=0, progress=False)
     assert card.memory == {"past_observation": [4, 12], "begun": [1]}
     assert card.evaluation.episodes == 3
     load_agent(tmp_path / "run" / "agent.json", TaskVectorEnv(2, task=ReachTask))
+    request.getfixturevalue("unexported")
     more = chosen.changed(options=chosen.options | {"steps": 96})
     assert train(more, out=tmp_path / "run", seed=0, resume=True, progress=False).training_steps == 96
 

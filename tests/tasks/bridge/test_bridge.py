@@ -142,21 +142,21 @@ def test_a_reset_after_violence_is_exact(env):
 
 
 @pytest.mark.slow
-def test_thousands_of_resets_leave_the_rover_standing_on_the_deck():
+def test_a_thousand_resets_leave_the_rover_standing_on_the_deck():
     worlds = batch(64, MOVING, observation="state", autoreset_mode="same_step", max_episode_steps=5)
     worlds.reset(seed=0)
     task = worlds.unwrapped.task
     simulation = task.simulation
     start, still = simulation.array("qpos")[0].copy(), np.zeros(10)
     rng = np.random.default_rng(0)
-    for _ in range(40 * 5):
+    for _ in range(16 * 5):
         *_, terminated, truncated, infos = worlds.step(rng.uniform((-2, -3), (2, 3), (64, 2)))
         for world in np.flatnonzero(terminated | truncated):
             np.testing.assert_array_equal(simulation.array("qpos")[world], start)
             np.testing.assert_array_equal(simulation.array("qvel")[world], still)
             assert all(infos["contacts"][part]["floor"][world] == (part != "base") for part in PARTS)
             assert not any(infos["contacts"][part]["obstacle"][world] for part in PARTS)
-    assert worlds.unwrapped.episodes.sum() >= 2500
+    assert worlds.unwrapped.episodes.sum() >= 1000
     worlds.reset(seed=1)
     for _ in range(3):
         worlds.step(np.zeros((64, 2)))

@@ -80,8 +80,8 @@ def test_the_parts_are_as_large_as_made_and_share_no_layout():
 def test_certificates_hold(sized):
     """Of some layouts of each part, and of all that have none."""
     (workspace, certificate), model = tools(), ArmModel("ur5")
-    some = np.concatenate([sample(sized(4, 100), rows) for rows in SHIPPED.parts.values()])
-    failed = sample(sized(2, 100), np.flatnonzero(~SHIPPED.feasible))
+    some = np.concatenate([sample(sized(4, 25), rows) for rows in SHIPPED.parts.values()])
+    failed = sample(sized(2, 25), np.flatnonzero(~SHIPPED.feasible))
     home = model.home.astype(np.float32).astype(float)
     for row in np.concatenate((some, failed)):
         boxes, target = read_boxes(SHIPPED.boxes[row]), SHIPPED.targets[row].astype(float)
