@@ -264,7 +264,7 @@ def test_sweeps_suites_and_comparisons_that_stop_early_isolate_too(home):
                          env_options={"max_episode_steps": 4})  # fmt: skip
     texts = [part.text for part in swept.document().parts if hasattr(part, "text")]
     assert f"{words}reach_ik, random." in texts
-    suite = armctl.suite(["BridgeCross-v0"], quick=True, episodes=3, **options)
+    suite = armctl.suite(["BridgeCross-v0"], quick=True, episodes=3, **options | {"worlds": 3})
     assert f"{words}bridge_distil, and not bridge_ompl." in suite.verdicts[0].context
     stopped = compare(["reach_ik", "random"], episodes=40, until="decided", **options)
     assert f"{words}reach_ik, random." in stopped.verdict.context
