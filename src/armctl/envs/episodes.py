@@ -53,6 +53,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Remarks on what these worlds have returned so far, in order."""
         self.on_begin: list[Callable[[NDArray[np.int32]], None]] = []
         """Called with the indices of worlds that have begun a new episode."""
+        self.clocks: list[NDArray[np.int64]] = []
+        """Arrays (n,) that are told the control steps of each world's current episode."""
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -162,13 +164,6 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Number of each world's current episode under its seed, (n,)."""
         return self._episodes.copy()
 
-    @property
-    def control_steps(self) -> NDArray[np.int64]:
-        """Control steps that each world's current episode has taken, (n,): a view that follows them, not to write."""
-        steps = self._steps.view()
-        steps.flags.writeable = False
-        return steps
-
     def perceived(self) -> Any:
         """Return what policies that see the state read it from: the task, or what disturbances let them know of it.
 
@@ -204,6 +199,11 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._begin(worlds)
         for callback in self.on_begin:
             callback(worlds)
+        self._tell_clocks()
+
+    def _tell_clocks(self) -> None:
+        for clock in self.clocks:
+            clock[:] = self._steps
 
     def _disturbed_commands(self, commands: Any) -> Any:
         for disturbance in self.disturbances.values():

@@ -179,6 +179,7 @@ def interface_of(
 
     begin(np.flatnonzero(worlds.episodes >= 0))
     worlds.on_begin.append(begin)
+    worlds.clocks.append(steps := np.zeros(worlds.num_envs, dtype=np.int64))
     more: dict[str, Any] = {}
     if issubclass(kind, ModelInterface):
         more = {"robot": copy.deepcopy(task.robot), "options": copy.deepcopy(getattr(task, "options", None))}
@@ -195,7 +196,7 @@ def interface_of(
         normalized=worlds.normalized,
         foresight=foresight,
         _episodes=episodes,
-        _steps=worlds.control_steps,
+        _steps=steps,
         **more,
     )
 

@@ -152,6 +152,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self.task.command(commands)
         self.task.advance(awake)
         self._steps += 1
+        self._tell_clocks()
         terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int64)
         if self.task.simulation.any_unstable:
             unstable = self.task.simulation.unstable
