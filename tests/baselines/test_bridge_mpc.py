@@ -14,7 +14,7 @@ from .driving import FAST, MOVING, STATIC, check_distances
 @pytest.mark.one_case
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_it_crosses_nearly_always_and_decides_in_time(env, sized):
-    results = evaluate("bridge_mpc", env, episodes=sized(2, 12), seed=0, worlds=1, env_options=FAST)
+    results = evaluate("bridge_mpc", env, episodes=sized(2, 6), seed=0, worlds=1, env_options=FAST)
     assert results.success.mean() >= 0.97
     assert results.length[results.success].mean() < 105
     assert results.decision_ms_p50.median() < 100

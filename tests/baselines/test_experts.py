@@ -13,7 +13,7 @@ from armctl.study import compare
 
 
 def test_reach_ik_reaches_every_reachable_target(sized):
-    results = evaluate("reach_ik", episodes=sized(50, 200), seed=0, worlds=10, lower_bound_steps=False)
+    results = evaluate("reach_ik", episodes=sized(50, 100), seed=0, worlds=10, lower_bound_steps=False)
     assert results.success.all()
     assert results.length.mean() < 12
 
@@ -79,7 +79,7 @@ def test_random_is_the_same_in_every_run_and_seldom_lucky():
 
 
 def test_reach_mpc_reaches_and_keeps_all_limits(sized):
-    n = sized(4, 20)
+    n = sized(4, 10)
     results = evaluate("reach_mpc", episodes=n, seed=4, worlds=n)
     assert results.success.all()
     assert results.optimality_gap.median() < 0.3

@@ -22,7 +22,7 @@ def rate(policy, env, n, **options):
 
 
 def test_reach_mppi_reaches(sized):
-    assert rate("reach_mppi", REACH, sized(4, 12)) >= 0.97
+    assert rate("reach_mppi", REACH, sized(4, 6)) >= 0.97
 
 
 def test_reach_mppi_gets_around_boxes(sized):

@@ -76,10 +76,10 @@ def test_random_actions_of_an_arm_touch_nothing(env, control):
 @pytest.mark.slow
 @pytest.mark.parametrize("env", [BRIDGE, MOVING])
 def test_random_actions_of_a_rover_touch_nothing(env):
-    episodes = compare(["filtered(random)", "random"], env, episodes=8, seed=301, worlds=8, policy_seed=1)
+    episodes = compare(["filtered(random)", "random"], env, episodes=4, seed=301, worlds=4, policy_seed=1)
     safe, random = episodes.results.by_policy().values()
     assert {one.outcome for one in safe} == {"timeout"}
-    assert sum(one.outcome in ("collided", "fell") for one in random) >= 4
+    assert sum(one.outcome in ("collided", "fell") for one in random) >= 2
 
 
 @pytest.mark.slow

@@ -260,7 +260,7 @@ def test_decision_times_are_those_of_the_policys_call(home):
 def test_sweeps_suites_and_comparisons_that_stop_early_isolate_too(home):
     options: Any = {"isolate": True, "worlds": 10}
     words = "Isolated, each in a process of its own that got observations only: "
-    swept = armctl.sweep(["reach_ik", "random"], disturbances={"payload": [0, 2]}, episodes=10, **options,
+    swept = armctl.sweep(["reach_ik", "random"], disturbances={"payload": [2]}, episodes=10, **options,
                          env_options={"max_episode_steps": 4})  # fmt: skip
     texts = [part.text for part in swept.document().parts if hasattr(part, "text")]
     assert f"{words}reach_ik, random." in texts
