@@ -154,6 +154,26 @@ def test_a_function_acts_in_armctls_own_environments():
     assert returns(still, "ArmReach-v0", episodes=2) == returns(Still, "ArmReach-v0", worlds=2, episodes=2)
 
 
+def test_a_class_that_sees_the_state_knows_which_world_is_its_own():
+    @armctl.sees("state", foresight="simulator")
+    class Knowing:
+        def __init__(self, env):
+            assert env.unwrapped is env
+            self.env, self.model = env, env.model()
+
+        def act(self, observation):
+            env = self.env
+            place = env.task.state.end_effector_position[env.world]
+            np.testing.assert_allclose(observation[:3], place, atol=1e-6)
+            np.testing.assert_allclose(env.perceived().state.joint_positions[env.world], observation[3:9], atol=1e-6)
+            self.steps = env.control_step()
+            return env.idle_action + 0.01 * (1 + env.world)
+
+    comparison = armctl.compare([Knowing], "ArmReach-v0", episodes=3, worlds=3, env_options={"max_episode_steps": 3})
+    assert not comparison.failures
+    assert set(comparison.results.column("outcome")) == {"timeout"}
+
+
 def test_discrete_actions():
     assert returns(lambda observation: int(observation[2] > 0), "CartPole-v1") == returns(
         lambda observation: np.int64(observation[2] > 0), "CartPole-v1", worlds=2

@@ -53,7 +53,7 @@ MEETINGS += sorted({(path.stem, read_card(path).env) for path in AGENTS.glob("*.
 def worlds_for(name, env_id, n):
     """Worlds with the interface that the policy was trained with, or that it declares."""
     card = AGENTS / f"{name}.json"
-    options = read_card(card).env_options if card.exists() else getattr(loaded(name), "interface", {})
+    options = read_card(card).env_options if card.exists() else getattr(loaded(name), "usual_interface", {})
     return gymnasium.make_vec(env_id, num_envs=n, **options)
 
 

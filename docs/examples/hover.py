@@ -1,5 +1,6 @@
 """Hover: a quadrotor flies to a target and stops there. A task, its expert and its potential, in one file."""
 
+import functools
 from typing import Annotated
 
 import gymnasium
@@ -11,6 +12,7 @@ from armctl import Task, register
 from armctl.core.options import options
 from armctl.disturbances import GENERIC, DisturbanceSpec, Payload, Pushes
 from armctl.simulation import Simulation
+from armctl.simulation.planning_model import motor_worlds
 from armctl.tasks import MotionSample, Outcome, Potential
 
 WORLD = """
@@ -105,6 +107,9 @@ class HoverTask(Task):
         )
         self._thrusts, self._contacts = array("ctrl"), array("ncon")
         self._targets = array("mocap_pos")
+        self.rollout_worlds = functools.partial(
+            motor_worlds, substeps=self.substeps, lower=0, upper=MAX_THRUST
+        )
         self.options, self.velocities = options, self._qvel[:, :3]
         self.action_space = gymnasium.spaces.Box(0.0, MAX_THRUST, (4,))
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (18,))

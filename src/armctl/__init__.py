@@ -35,6 +35,7 @@ _HOMES = {
     "make_policy": "armctl.policies",
     "Policy": "armctl.policies",
     "sees": "armctl.policies",
+    "interface": "armctl.policies",
     "evaluate": "armctl.rollout",
     "compare": "armctl.study",
     "sweep": "armctl.study",

@@ -4,7 +4,6 @@ from contextlib import closing
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 import pytest
 
@@ -136,28 +135,12 @@ def test_mppi_refuses_actions_that_are_no_box():
         make_policy("mppi", third_party("CartPole-v1"))
 
 
-def test_the_simulator_is_for_who_declares_it():
-    def planner(**declaration):
-        @armctl.sees("model", **declaration)
-        def make(env):
-            models.append(env.preview("simulator"))
-            return make_policy("random", env)
-
-        return make
-
-    models: list[Any] = []
-    worlds: Any = make_worlds(REACH, 1)
-    with pytest.raises(ConfigurationError, match=r'nominal simulator is only for .*foresight="simulator"'):
-        make_policy(planner(), worlds)
-    worlds.reset(seed=0)
-    make_policy(planner(foresight="simulator"), worlds)
-    models[0].opt.gravity[:] = 0.0
-    assert worlds.task.simulation.model.opt.gravity[2] < -9
+def test_copies_are_for_who_declares_the_simulator():
     foreign = third_party()
     foreign.task.granted = ()
-    with pytest.raises(ConfigurationError, match="nominal simulator is only for"):
-        foreign.imagined(0)
-    assert isinstance(make_worlds("Reacher-v5", 1).preview("simulator"), mujoco.MjModel)
+    for imagine in (lambda: foreign.imagined(0), foreign.model):
+        with pytest.raises(ConfigurationError, match="nominal simulator is only for"):
+            imagine()
     assert make_worlds("CartPole-v1", 1).foresight == ()
 
 
@@ -168,6 +151,6 @@ def test_the_nominal_model_has_no_disturbance(level):
     for worlds in (plain, disturbed):
         worlds.reset(seed=0)
     disturbed.task.simulation.data(0)  # as a picture does, with the world's own masses
-    nominal, model = (worlds.preview("simulator") for worlds in (plain, disturbed))
+    nominal, model = (worlds.model().mujoco for worlds in (plain, disturbed))
     for name in ("body_mass", "body_pos", "body_inertia"):
         np.testing.assert_array_equal(getattr(model, name), getattr(nominal, name))

@@ -47,7 +47,7 @@ def summary_of(policy, success):
         "metrics": {"energy": Estimate(1.0, None, None)}, "decision_ms_p50": 0.054,
         "decision_ms_p99": 15.854,
         "decision_ms_max": 20.0, "solver_failures": 0, "worlds": 1, "workers": 1, "spared": (), "foresight": (),
-        "isolated": False,
+        "interface": {}, "isolated": False,
     }  # fmt: skip
     return PolicySummary(**values | known)
 

@@ -26,7 +26,7 @@ def summary_of(name, won):
     known = {
         "policy": name, "sees": "observation" if name in TRAINED else "model", "training": cost_of(name),
         "planned": len(won), "episodes": len(won),
-        "spared": (), "foresight": (), "outcomes": {},
+        "spared": (), "foresight": (), "interface": {}, "outcomes": {},
         "success": success_rate(won), "decision_ms_p50": 0.25, "decision_ms_p99": 0.5,
         "worlds": 1, "workers": 1,
     }  # fmt: skip

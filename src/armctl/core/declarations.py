@@ -6,7 +6,13 @@ import functools
 import importlib.util
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+
+from armctl.core.registration import importable_from
+
+LONGEST_WAY = 5
+"""Files in which a definition is looked for, each imported by the one before."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,51 @@ def declaration(name: str) -> Declaration | None:
     return None if node is None else _read(node)
 
 
+def declaration_of_code(name: str) -> Declaration | None:
+    """Return the same of code that the user names, `module:attribute` or `path/to/file.py:attribute`.
+
+    No package is imported, not even to look for a module in it.
+    """
+    module, _, attribute = name.rpartition(":")
+    file = Path(module) if module.endswith(".py") else _file_of(module)
+    for _ in range(LONGEST_WAY):
+        if file is None:
+            break
+        node, file = _in_file(file, attribute)
+        if node is not None:
+            return _read(node)
+    return None
+
+
+def _file_of(module: str) -> Path | None:
+    first, *others = module.split(".")
+    with contextlib.suppress(Exception), importable_from(Path.cwd()):  # whatever a name may be
+        spec = importlib.util.find_spec(first)
+        if spec is not None and not others:
+            return Path(spec.origin or "")
+        for folder in spec.submodule_search_locations or () if spec else ():
+            beside = Path(folder, *others)
+            for file in (beside.with_suffix(".py"), beside / "__init__.py"):
+                if file.is_file():
+                    return file
+    return None
+
+
+def _in_file(file: Path, attribute: str) -> tuple[ast.ClassDef | ast.FunctionDef | None, Path | None]:
+    """Return the definition in a file, or the file beside it from which it comes."""
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (OSError, ValueError, SyntaxError, RecursionError):
+        return None, None
+    for node in tree.body:
+        match node:
+            case ast.ClassDef(name=defined) | ast.FunctionDef(name=defined) if defined == attribute:
+                return node, None
+            case ast.ImportFrom(module=str(home)) if attribute in {alias.name for alias in node.names}:
+                return None, file.parent.joinpath(*home.split(".")).with_suffix(".py")
+    return None, None
+
+
 def _definition(name: str) -> tuple[str, ast.ClassDef | ast.FunctionDef | None]:
     """Return the module that defines `module:attribute`, and the definition; None if it is made in another way."""
     module, _, attribute = name.partition(":")
@@ -90,7 +141,7 @@ def _read(node: ast.ClassDef | ast.FunctionDef) -> Declaration:
                     values[name] = ast.literal_eval(line.value)
     for decorator in node.decorator_list:
         match decorator:
-            case ast.Call(func=ast.Name(id=name), args=args, keywords=keywords):
+            case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name), args=args, keywords=keywords):
                 with contextlib.suppress(ValueError):
                     arguments = {keyword.arg or "": ast.literal_eval(keyword.value) for keyword in keywords}
                     decorators[name] = [ast.literal_eval(arg) for arg in args], arguments

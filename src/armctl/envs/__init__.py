@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         MapInterface,
         ModelInterface,
         interface_of,
+        interface_values,
     )
     from armctl.envs.make import make_worlds, task_of
     from armctl.envs.observations import batch_of_one, one_of
@@ -31,7 +32,8 @@ __all__ = [
     "ERROR", "INTERFACES", "RETURN_BOUNDS", "SEES", "UNSTABLE", "CurrentEpisode", "EpisodeVectorEnv", "Interface",
     "MapInterface", "ModelInterface", "Observer", "PolicyStreams", "Sees", "TaskEnv", "TaskVectorEnv",
     "ThirdPartyVectorEnv", "batch_of_one", "check_from_file", "chosen_policy_seed", "episode_seed", "find_spec",
-    "full_id", "interface_of", "make_worlds", "new_policy_seed", "one_of", "privilege_in_words", "task_of",
+    "full_id", "interface_of", "interface_values", "make_worlds", "new_policy_seed", "one_of", "privilege_in_words",
+    "task_of",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

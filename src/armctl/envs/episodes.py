@@ -1,11 +1,11 @@
 """Common part of armctl's vector environments: episodes by number, and worlds that are reset one by one."""
 
-import copy
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from armctl.core.errors import ConfigurationError, InvalidAction
 from armctl.core.foresight import check_declared
 from armctl.disturbances import Disturbance, begin_episodes
 from armctl.envs.observations import action_numbers
+from armctl.simulation.planning_model import PlanningModel
 
 Infos = dict[str, Any]
 RUNNING = -1
@@ -111,7 +112,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     @property
     def foresight(self) -> tuple[str, ...]:
         """Foresight that policies can have here: keys of `FORESIGHT`."""
-        has_simulator = self._nominal_model(0) is not None
+        has_simulator = self._nominal_model() is not None
         return (
             *self.task.foresight,
             *(("disturbance",) if self.disturbances else ()),
@@ -121,21 +122,34 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def preview(self, name: str, world: int = 0) -> Any:
         """Return what a policy with this foresight knows of a world's current episode; None if nothing is foreseen.
 
-        For a `disturbance`, that is the level of each by name, for a `simulator` a copy of MuJoCo's model without
-        disturbances, and else what `Task.preview` tells. Raises `ConfigurationError` while a policy acts that has not
-        declared it.
+        For a `disturbance`, that is the level of each by name, for a `simulator` the `model`, and else what
+        `Task.preview` tells. Raises `ConfigurationError` while a policy acts that has not declared it.
         """
         if self.task.granted is not None:
             check_declared(name, "state", self.task.granted)
         if name == "disturbance":
             return {name: float(disturbance.levels[world]) for name, disturbance in self.disturbances.items()}
         if name == "simulator":
-            return copy.copy(self._nominal_model(world))
+            return self._planning_model() if "simulator" in self.foresight else None
         return self.task.preview(name, world) if name in self.task.foresight else None
 
-    def _nominal_model(self, world: int) -> Any:
-        """Return MuJoCo's model of a world without disturbances, which act on others; None if there is none."""
-        return getattr(getattr(self.task, "simulation", None), "nominal_model", None)
+    def model(self) -> PlanningModel:
+        """Return a new copy of the nominal model, for a policy that plans by simulation.
+
+        Raises `ConfigurationError` if there is none, and while a policy acts that does not foresee the `simulator`.
+        """
+        if (model := self.preview("simulator")) is None:
+            raise ConfigurationError(f"{type(self.task).__name__} has no model of MuJoCo's to plan in")
+        assert isinstance(model, PlanningModel)
+        return model
+
+    @abstractmethod
+    def _nominal_model(self) -> mujoco.MjModel | None:
+        """Return MuJoCo's model without disturbances, which act on others; None if there is none."""
+
+    @abstractmethod
+    def _planning_model(self) -> PlanningModel:
+        """Return a new copy of the nominal model, which there is, with rollouts."""
 
     @property
     def control_period(self) -> float | None:

@@ -6,6 +6,7 @@ chance.
 """
 
 import copy
+import functools
 from typing import Any
 
 import gymnasium
@@ -14,6 +15,8 @@ import numpy as np
 
 from armctl.core.arrays import Array
 from armctl.core.errors import FAILURES, ConfigurationError, described
+from armctl.simulation.history import WHOLE
+from armctl.simulation.planning_model import PlanningModel, motor_worlds
 
 SHARED = (gymnasium.Space, gymnasium.envs.registration.EnvSpec)
 """Types of attributes that steps do not change."""
@@ -62,6 +65,12 @@ class Imagined:
                     break
         return sums
 
+    def stepped(self, action: Array) -> mujoco.MjData | None:
+        """Return MuJoCo's data after a step by an action (...); None if there are none, or several."""
+        self._restore()
+        self._env.step(action.astype(self._dtype))
+        return self._states[0][0] if len(self._states) == 1 else None
+
     def _restore(self) -> None:
         """Return to the present state."""
         for data, saved in self._states:
@@ -69,3 +78,43 @@ class Imagined:
         changing = {name: value for name, value in self._attributes.items() if not isinstance(value, FIXED)}
         vars(self._env).clear()
         vars(self._env).update(self._attributes | copy.deepcopy(changing, {id(value): value for value in self._kept}))
+
+
+def planning_model(
+    env: gymnasium.Env[Any, Any], space: gymnasium.Space[Any], control_period: float | None, model: Any
+) -> PlanningModel:
+    """Return a copy of an environment's MuJoCo model to plan in, for actions of a box.
+
+    It has rollouts if the environment's steps are those of MuJoCo with actions as controls, as in Gymnasium's own:
+    this is tried in a copy of the environment. Raises `ConfigurationError` for other actions.
+    """
+    if not isinstance(space, gymnasium.spaces.Box):
+        raise ConfigurationError(f"a model to plan in has actions of a box, not of {space}")
+    substeps = getattr(env, "frame_skip", None)
+    period = control_period or (substeps or 1) * model.opt.timestep
+    without = PlanningModel(copy.copy(model), period, (space.low, space.high), None)
+    if not isinstance(substeps, int) or space != env.action_space or space.shape != (model.nu,):
+        return without
+    connect = functools.partial(motor_worlds, substeps=substeps, dtype=str(space.dtype))
+    connected = PlanningModel(copy.copy(model), period, (space.low, space.high), connect)
+    return connected if _steps_alike(env, connected) else without
+
+
+def _steps_alike(env: gymnasium.Env[Any, Any], model: PlanningModel) -> bool:
+    """Return True if a step of a copy of the environment is one of a rollout in its model."""
+    data = getattr(env, "data", None)
+    if not isinstance(data, mujoco.MjData):
+        return False
+    low, high = np.maximum(model.lower, -1), np.minimum(model.upper, 1)
+    action = np.random.default_rng(0).uniform(low, high)
+    start = np.empty(mujoco.mj_stateSize(model.mujoco, WHOLE))
+    mujoco.mj_getState(model.mujoco, data, start, WHOLE)
+    try:
+        truth = Imagined(env).stepped(action)
+    except FAILURES:  # whatever an environment of others raises before its first reset
+        return False
+    motion = model.rollout(start, action[None, None])
+    return truth is not None and all(
+        np.allclose(predicted[0, 0], true, rtol=1e-9, atol=1e-12)
+        for predicted, true in ((motion.qpos, truth.qpos), (motion.qvel, truth.qvel))
+    )

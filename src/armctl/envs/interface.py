@@ -24,6 +24,7 @@ from armctl.envs.sees import SEES, Sees
 
 if TYPE_CHECKING:
     from armctl.envs.episodes import EpisodeVectorEnv
+    from armctl.simulation.planning_model import PlanningModel
 
 
 class CurrentEpisode:
@@ -61,6 +62,8 @@ class Interface:
     """Foresight that the policy declares: keys of `FORESIGHT`."""
     _episodes: Sequence[CurrentEpisode] = ()
     _steps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
+    _model: "PlanningModel | None" = None
+    _values: Mapping[str, Any] = field(default_factory=dict)
 
     @functools.cached_property
     def observation_space(self) -> gymnasium.Space[Any]:
@@ -93,7 +96,17 @@ class Interface:
         It is None in an environment that does not tell it. Raises `ConfigurationError` if it was not declared.
         """
         check_declared(name, self.sees, self.foresight)
-        return self._episodes[world].previews.get(name)
+        return self._model and self._model.copy() if name == "simulator" else self._episodes[world].previews.get(name)
+
+    def model(self) -> "PlanningModel":
+        """Return a new copy of the nominal model, for a policy that foresees the `simulator`.
+
+        Raises `ConfigurationError` if that was not declared, or if there is none.
+        """
+        model: PlanningModel | None = self.preview("simulator")
+        if model is None:
+            raise ConfigurationError(f"{self.env_id} has no model of MuJoCo's to plan in")
+        return model
 
     def in_world(self, world: int) -> "Interface":
         """Return the interface of a policy that acts in one of the worlds."""
@@ -175,7 +188,7 @@ def interface_of(
             episodes[i].rng.bit_generator.state = streams.generator(int(seeds[i]), int(numbers[i])).bit_generator.state
             if issubclass(kind, MapInterface):
                 episodes[i].map = task.static_map(int(i))
-            episodes[i].previews = {name: worlds.preview(name, int(i)) for name in foresight}
+            episodes[i].previews = {name: worlds.preview(name, int(i)) for name in foresight if name != "simulator"}
 
     begin(np.flatnonzero(worlds.episodes >= 0))
     worlds.on_begin.append(begin)
@@ -197,8 +210,20 @@ def interface_of(
         foresight=foresight,
         _episodes=episodes,
         _steps=steps,
+        _model=worlds.preview("simulator") if "simulator" in foresight else None,
+        _values=interface_values(worlds),
         **more,
     )
+
+
+def interface_values(env: "EpisodeVectorEnv | Interface") -> dict[str, Any]:
+    """Return the values of the options that say how policies see and command the robot."""
+    if isinstance(env, Interface):
+        return dict(env._values)
+    options = getattr(env.task, "options", None)
+    values = {name: getattr(options, name) for name in sorted(env.task.interface_options) if hasattr(options, name)}
+    units = "normalized" if env.normalized else "physical"
+    return values | ({"actions": units} if "actions" in env.task.interface_options else {})
 
 
 def _names(kind: type[Interface]) -> set[str]:

@@ -29,6 +29,22 @@ def privileges(by_name: Mapping[str, str]) -> str:
     return f"Their privileges differ: {', '.join(parts)}."
 
 
+def interfaces_in_words(by_name: Mapping[str, Mapping[str, str]]) -> str:
+    """Return a sentence about interfaces, from the values of options by policy; empty if they do not differ.
+
+    Where nobody has told a policy's, nothing is said.
+    """
+    names = dict.fromkeys(name for values in by_name.values() for name in values)
+    differing = [name for name in names if len({values.get(name) for values in by_name.values()}) > 1]
+    if not differing or not all(by_name.values()):
+        return ""
+    texts = (
+        f"{policy} ({', '.join(f'{name} {values[name]}' for name in differing if name in values)})"
+        for policy, values in by_name.items()
+    )
+    return f"Their interfaces differ: {', '.join(texts)}."
+
+
 def isolation(by_name: Mapping[str, bool]) -> str:
     """Return a sentence about which policies were isolated; empty if none was."""
     apart, others = ([name for name, is_apart in by_name.items() if is_apart == side] for side in (True, False))

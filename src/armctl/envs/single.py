@@ -1,10 +1,9 @@
 """Ordinary Gymnasium environment of one world."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
+import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
 
@@ -75,23 +74,33 @@ class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
         return {"outcome": self.worlds.outcomes[infos["outcome_id"][0]], **_first(infos)}
 
 
-@dataclass(frozen=True)
 class OneWorld:
-    """Knowledge of a controller of one world about an environment that was made of a task."""
+    """World number `world` of an environment that was made of a task, for a controller that sees the state.
 
-    observation_space: gymnasium.spaces.Space[Any]
-    action_space: gymnasium.spaces.Space[Any]
-    task: Any
-    spec: Any
-    perceived: Callable[[], Any]
-    """Source of the state for a controller that sees it: see `EpisodeVectorEnv.perceived`."""
+    It may only read. In the task's arrays, (n, ...), the row `world` is its own.
+    """
 
-    @classmethod
-    def of(cls, worlds: EpisodeVectorEnv) -> "OneWorld":
-        """Return what there is to say about any of these worlds."""
-        return cls(
-            worlds.single_observation_space, worlds.single_action_space, worlds.task, worlds.spec, worlds.perceived
-        )
+    def __init__(self, worlds: EpisodeVectorEnv, world: int) -> None:
+        self.world = world
+        self.observation_space, self.action_space = worlds.single_observation_space, worlds.single_action_space
+        self.task, self.spec, self.max_episode_steps = worlds.task, worlds.spec, worlds.max_episode_steps
+        self.control_period, self.idle_action = worlds.control_period, worlds.idle_action
+        self.perceived, self.model = worlds.perceived, worlds.model
+        self._preview, self._steps = worlds.preview, np.zeros(worlds.num_envs, dtype=np.int64)
+        worlds.clocks.append(self._steps)
+
+    @property
+    def unwrapped(self) -> "OneWorld":
+        """Itself: nothing wraps it."""
+        return self
+
+    def control_step(self) -> int:
+        """Return how many control steps the current episode has taken."""
+        return int(self._steps[self.world])
+
+    def preview(self, name: str) -> Any:
+        """Return what a policy with this foresight knows of the episode: see `EpisodeVectorEnv.preview`."""
+        return self._preview(name, self.world)
 
 
 def _first(infos: Infos) -> Infos:

@@ -26,9 +26,10 @@ from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entro
 from armctl.envs import foreign_values
 from armctl.envs.environment_options import LARGEST_REWARD
 from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
-from armctl.envs.imagined import Imagined
+from armctl.envs.imagined import Imagined, planning_model
 from armctl.envs.observations import stacked
 from armctl.envs.success import UNSTATED, SuccessReader, SuccessRule
+from armctl.simulation.planning_model import PlanningModel
 from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts
 
@@ -236,11 +237,15 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
             check_declared("simulator", "state", self.task.granted)
         return Imagined(self.worlds[world].unwrapped)
 
-    def _nominal_model(self, world: int) -> Any:
+    def _nominal_model(self) -> mujoco.MjModel | None:
         model = None
         with contextlib.suppress(*FAILURES):  # whatever an environment of others calls its model
-            model = self.worlds[world].unwrapped.model  # type: ignore[attr-defined]
+            model = self.worlds[0].unwrapped.model  # type: ignore[attr-defined]
         return model if isinstance(model, mujoco.MjModel) else None
+
+    def _planning_model(self) -> PlanningModel:
+        world, space = self.worlds[0].unwrapped, self.single_action_space
+        return planning_model(world, space, self.control_period, self._nominal_model())
 
     @property
     def _name(self) -> str:

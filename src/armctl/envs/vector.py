@@ -4,9 +4,11 @@ Environment id, options, seed and episode number determine an episode. World i o
 with `seed` plays the episodes of a single environment that was reset with `seed + i`, bit for bit.
 """
 
+import copy
 from typing import Any, Protocol
 
 import gymnasium
+import mujoco
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -22,6 +24,7 @@ from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.envs.outcomes import ERROR, UNSTABLE
 from armctl.envs.pickling import MadeAgain
+from armctl.simulation.planning_model import PlanningModel
 from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import Observations, RewardTerms, Task
 
@@ -229,6 +232,16 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
 
     def _task_info(self) -> Infos:
         return _flat(self.task.info()) if self.flat_infos else self.task.info()
+
+    def _nominal_model(self) -> mujoco.MjModel:
+        return self.task.simulation.nominal_model
+
+    def _planning_model(self) -> PlanningModel:
+        task, space = self.task, self.single_action_space
+        units = (self._lowest, self._highest) if self.normalized else None
+        return PlanningModel(
+            copy.copy(self._nominal_model()), task.control_period, (space.low, space.high), task.rollout_worlds, units
+        )  # fmt: skip
 
     def _physical(self, actions: Array) -> Array:
         """Return actions in the task's units."""

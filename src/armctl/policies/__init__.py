@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from armctl.core.lazy import on_first_use
 
 if TYPE_CHECKING:
-    from armctl.envs.sees import isolation, privileges
+    from armctl.envs.sees import interfaces_in_words, isolation, privileges
     from armctl.policies.configuration import (
         SUFFIX,
         PolicyConfiguration,
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
         is_code,
         read_configuration,
     )
-    from armctl.policies.declare import made_for, sees
+    from armctl.policies.declare import interface, made_for, sees
     from armctl.policies.find import (
         make_policy,
         named_policies,
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 __all__ = [
     "GROUP", "SUFFIX", "UNSKILLED", "Actions", "Controller", "ControllersFailed", "PerWorld", "Plans", "Policy",
     "PolicyConfiguration", "PolicyFactory", "WorldsByInterface", "agent_cards", "check_policy_name",
-    "configurations", "configured", "declared_sees", "describe_policy", "expanded", "is_code", "is_seed_group",
-    "isolation", "learners", "made_for", "make_policy", "named_policies", "policy_name", "policy_names", "privileges",
-    "read_configuration", "sees", "training_card",
+    "configurations", "configured", "declared_sees", "describe_policy", "expanded", "interface", "interfaces_in_words",
+    "is_code", "is_seed_group", "isolation", "learners", "made_for", "make_policy", "named_policies", "policy_name",
+    "policy_names", "privileges", "read_configuration", "sees", "training_card",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

@@ -5,12 +5,14 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from armctl.core.errors import unknown_name
+from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.core.foresight import FORESIGHT, Foresight, check_known
 from armctl.core.kinds import Kind, check_kind
 from armctl.envs.sees import SEES, Sees
 
 Factory = TypeVar("Factory")
+FRAMES, MAX_FRAMES = "frames", 1000
+"""Part of an interface that is none of the environment's options, and the most control steps in it."""
 
 
 def sees(
@@ -53,6 +55,26 @@ def sees(
     return declare
 
 
+def interface(*, frames: int = 1, **options: Any) -> Callable[[Factory], Factory]:
+    """Declare the interface that a policy is made for: it plays with it, whatever is requested.
+
+    `options` are options of the environment that say how a policy sees and commands the robot, such as
+    `control="velocity", observation="full"`. With `frames`, an observation is a stack (frames, ...) of the last ones,
+    the present one last; before an episode's first one, there was always that same one.
+
+    Values are literals: they are read from the source, before that is imported. Raises `ConfigurationError` for
+    `frames` that are no whole number from 1 on.
+    """
+    declaration = options | ({FRAMES: frames} if frames != 1 else {})
+    checked_interface(declaration)
+
+    def declare(factory: Factory) -> Factory:
+        factory.interface = declaration  # type: ignore[attr-defined]
+        return factory
+
+    return declare
+
+
 def made_for(
     envs: str, *, controls: str, interface: Mapping[str, Any] = MappingProxyType({})
 ) -> Callable[[Factory], Factory]:
@@ -65,7 +87,7 @@ def made_for(
 
     def declare(factory: Factory) -> Factory:
         factory.made_for = (envs, controls)  # type: ignore[attr-defined]
-        factory.interface = dict(interface)  # type: ignore[attr-defined]
+        factory.usual_interface = dict(interface)  # type: ignore[attr-defined]
         return factory
 
     return declare
@@ -93,6 +115,16 @@ def declared_foresight(source: Any) -> tuple[str, ...]:
     return () if isinstance(foresight, property) else _checked_foresight(foresight)
 
 
+def checked_interface(options: Any) -> dict[str, Any]:
+    """Return an interface as it is declared. Raise `ConfigurationError` for what is none."""
+    if not isinstance(options, Mapping):
+        raise ConfigurationError(f"the interface of a policy is a mapping of options, not {options!r}")
+    frames = options.get(FRAMES, 1)
+    if type(frames) is not int or not 1 <= frames <= MAX_FRAMES:
+        raise ConfigurationError(f"{FRAMES} are a whole number from 1 to {MAX_FRAMES}, not {frames!r}")
+    return dict(options)
+
+
 def _checked_foresight(foresight: Any) -> tuple[str, ...]:
     names = (foresight,) if isinstance(foresight, str) else tuple(foresight)
     for name in names:
@@ -102,6 +134,6 @@ def _checked_foresight(foresight: Any) -> tuple[str, ...]:
 
 def unwrapped(source: Any) -> Any:
     """Return the function of a partial one, unless this declares something itself."""
-    while isinstance(source, functools.partial) and "sees" not in vars(source):
+    while isinstance(source, functools.partial) and not {"sees", "interface"} & vars(source).keys():
         source = source.func
     return source

@@ -13,6 +13,7 @@ from armctl.core.arrays import Observations, object_array
 from armctl.core.errors import ConfigurationError, InvalidAction, defined_at
 from armctl.envs import EpisodeVectorEnv, Interface, PolicyStreams, Sees, ThirdPartyVectorEnv
 from armctl.envs.single import OneWorld
+from armctl.policies.interfaces import framed, frames_of, stacking
 from armctl.policies.policy import Actions, PerWorld, Policy
 from armctl.policies.privilege import as_declared, granting, knowledge_for
 
@@ -29,9 +30,12 @@ def adapted(source: Any, worlds: Worlds, name: str, streams: PolicyStreams) -> P
     Raises `ConfigurationError`.
     """
     knowledge = knowledge_for(source, worlds, name, streams)
+    frames = frames_of(source, worlds, name)
+    if frames > 1:
+        knowledge = stacking(knowledge, frames)
     with granting(source, worlds):
         unlabelled = _adapted(source, knowledge, name)
-    policy: Policy = as_declared(unlabelled, name, source)
+    policy: Policy = framed(as_declared(unlabelled, name, source), frames, worlds.num_envs)
     return policy
 
 
@@ -179,4 +183,4 @@ def _one_world(worlds: Worlds, i: int) -> Any:
     """Return what a controller of world i is given of its environment."""
     if isinstance(worlds, Interface):
         return worlds.in_world(i)
-    return worlds.worlds[i] if isinstance(worlds, ThirdPartyVectorEnv) else OneWorld.of(worlds)
+    return worlds.worlds[i] if isinstance(worlds, ThirdPartyVectorEnv) else OneWorld(worlds, i)

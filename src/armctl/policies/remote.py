@@ -21,7 +21,7 @@ from armctl.core.arrays import Observations
 from armctl.core.errors import ConfigurationError, ConnectionFailed, InvalidAction
 from armctl.core.registration import bare_id, remember_named
 from armctl.envs import Interface, one_of
-from armctl.policies.declare import check_sees
+from armctl.policies.declare import check_sees, checked_interface
 from armctl.policies.policy import Actions, Code, ControllersFailed
 from armctl.remote.connection import Connection, Host, OtherEndFailed, error_in, host_of, in_words
 from armctl.remote.messages import VERSION
@@ -37,14 +37,19 @@ def remote_policy(name: str) -> Callable[[Interface], "RemotePolicy"]:
     make = functools.partial(RemotePolicy, name)
     make.sees = str(metadata.get("sees", "observation"))  # type: ignore[attr-defined]
     check_sees(make.sees)  # type: ignore[attr-defined]
+    options, is_complete = remote_interface(name)
+    make.interface = {} if is_complete else options  # type: ignore[attr-defined]
     remember_named(name)
     return make
 
 
-def interface_options(name: str) -> Mapping[str, Any]:
-    """Return the options of an environment that the server asks for, such as how it observes."""
-    options = _connected(name)[0].metadata.get("interface", {})
-    return options if isinstance(options, dict) else {}
+def remote_interface(name: str) -> tuple[dict[str, Any], bool]:
+    """Return the interface that a server's policy is made for, and whether all else is the environment's default.
+
+    That is so for a server of armctl's, which says which environment it plays.
+    """
+    metadata = _connected(name)[0].metadata
+    return checked_interface(metadata.get("interface", {})), "env" in metadata
 
 
 def _connected(name: str) -> tuple[Connection, Host | None]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from armctl.remote.messages import LARGEST, VERSION, packed, unpacked
 
-DECLARED = {"kind": str, "family": str, "training_steps": int}
+DECLARED = {"kind": str, "family": str, "training_steps": int, "interface": dict}
 """Attributes of a plain policy that are told, and their types."""
 DEEPEST, LONGEST = 5, 200
 """Levels of an info that are told, and characters of a value that is none of a message's."""

@@ -19,6 +19,7 @@ from armctl.robot_description.meshes import thinness
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.impacts import add_impact_sensors
+from armctl.simulation.planning_model import Connect, Step
 from armctl.simulation.worlds import world_path
 
 CONTROLS = ("position", "relative", "delta", "velocity", "torque")
@@ -97,6 +98,11 @@ class Arm:
             return self._command
         return np.concatenate((self._command, self._velocity_commands), axis=1)
 
+    @property
+    def rollout_worlds(self) -> Connect:
+        """Maker of worlds in which such arms are driven alike, by themselves: they do not stop at targets."""
+        return functools.partial(_driven, description=self.description, control=self.control, period=self.period)
+
     def command(self, actions: Array) -> None:
         """Set actions (n, dof), clipped to their bounds."""
         setpoints = np.clip(actions, self.action_low, self.action_high, out=self.drives.setpoints)
@@ -107,6 +113,21 @@ class Arm:
         elif self.control == "relative":
             limits = self.description.limits
             np.clip(self.joint_positions + setpoints, limits.lower, limits.upper, out=setpoints)
+
+
+def _driven(
+    model: mujoco.MjModel, n: int, *, description: ArmDescription, control: str, period: float
+) -> tuple[Simulation, Step]:
+    """Make n worlds of arms, and what makes their control steps."""
+    simulation = Simulation(model, n, threads=1, speed_limits=speed_limits(description))
+    arm, ticks = Arm(simulation, description, control, period), round(period / TICK)
+    substeps = round(TICK / model.opt.timestep)
+
+    def step(actions: Array) -> None:
+        arm.command(actions)
+        simulation.control_step(ticks, substeps, drives=arm.drives)
+
+    return simulation, step
 
 
 def speed_limits(description: ArmDescription) -> dict[str, float]:

@@ -8,6 +8,7 @@ import numpy as np
 from armctl.core.arrays import Array
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
+from armctl.simulation.planning_model import Step
 from armctl.simulation.worlds import world_path
 
 PREFIX = "rover/"
@@ -119,6 +120,18 @@ class Rover:
     def wheel_heights(self) -> Array:
         """Heights of the wheel centres, (n, 4) m."""
         return self._positions[:, self._wheel_bodies, 2]
+
+
+def driven_rovers(model: mujoco.MjModel, n: int, *, ticks: int, period: float) -> tuple[Simulation, Step]:
+    """Make n worlds of rovers, and what makes their control steps, of `period` s and so many ticks."""
+    simulation = Simulation(model, n, threads=1, speed_limits=SPEED_LIMITS)
+    rover, substeps = Rover(simulation), round(period / ticks / model.opt.timestep)
+
+    def step(actions: Array) -> None:
+        rover.command(actions)
+        simulation.control_step(ticks, substeps)
+
+    return simulation, step
 
 
 def wheel_speeds(velocities: Array) -> Array:

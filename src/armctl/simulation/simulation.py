@@ -119,6 +119,13 @@ class Simulation:
         self.any_unstable = bool(self.unstable.any())
         self._good[worlds] = self._state[worlds]
 
+    def set_states(self, states: Array) -> None:
+        """Put all worlds into one whole state (k,) of MuJoCo's, or each into its own, (n, k)."""
+        self._state[:] = states
+        self._good[:] = self._state
+        self.unstable[:] = self.any_unstable = False
+        self.refresh()
+
     def refresh(self, ids: WorldIds | None = None) -> None:
         """Recompute the outputs from the state."""
         self._batch.forward(ids, stage=CURRENT)

@@ -182,13 +182,14 @@ class _Line:
             at_most=plan.episodes if plan.until_decided else None,
             policies={
                 name: PolicyFacts(
-                    policy.sees,
+                    self.interfaces.privilege(self.playing[name], policy),
                     training_cost_of(policy),
                     events.construction_ms[name],
                     tuple(self.interfaces.spared(self.playing[name], policy)),
                     getattr(policy, "family", None),
                     tuple(name for name in getattr(policy, "foresight", ()) if name in env.foresight),
                     declared_kind(policy),
+                    interface=self.interfaces.in_words(self.playing[name]),
                     isolated=isinstance(policy, PlaysApart),
                     transport_ms=getattr(policy, "transport_ms", None),
                 )

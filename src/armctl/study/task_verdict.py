@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from armctl.core.kinds import KINDS, Kind
 from armctl.core.registration import bare_id
 from armctl.episodes.stored import UNDISTURBED
-from armctl.policies import isolation, privileges
+from armctl.policies import interfaces_in_words, isolation, privileges
 from armctl.runtime.provenance import looks_in_words, with_looks
 from armctl.stats.across_tasks import (
     SELECTING,
@@ -215,8 +215,9 @@ class TaskVerdict:
         if not all(math.isnan(policy.decision_ms_p50) for policy in contenders):
             parts.append(f"median decision time: {_times(contenders)}")
         sees = privileges({policy.policy: policy.privilege for policy in contenders})
+        commands = interfaces_in_words({policy.policy: policy.interface for policy in contenders})
         apart = isolation({policy.policy: policy.isolated for policy in self.policies})
-        return " ".join(filter(None, ("; ".join(parts) + "." * bool(parts), sees, apart)))
+        return " ".join(filter(None, ("; ".join(parts) + "." * bool(parts), sees, commands, apart)))
 
     @property
     def context(self) -> str:

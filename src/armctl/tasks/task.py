@@ -18,6 +18,7 @@ from armctl.core.options import options
 from armctl.disturbances import GENERIC, DisturbanceSpec
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
+from armctl.simulation.planning_model import Connect
 from armctl.tasks.learner_view import LearnerView
 
 Ids = NDArray[np.int32]
@@ -220,6 +221,10 @@ class Task(TaskFacts):
     """Space of `state_observation`, of one world; None: the task does not say its state."""
     reward_functions: Mapping[str, Any] = {}
     """The reward terms by name, as functions, `OneTimeTerm` or `EachStep`, if the task has them like this."""
+    rollout_worlds: Connect | None = None
+    """Maker of worlds in which policies that foresee the `simulator` roll actions out, as `command` and `advance` move
+    the robot; None: unknown. It can be pickled: a partial function, such as
+    `functools.partial(motor_worlds, substeps=self.substeps)` of `armctl.simulation.planning_model`."""
     joints: JointSamples | None = None
     """Speeds and torques, and their limits, for metrics; None if the task does not sample them."""
 

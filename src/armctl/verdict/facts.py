@@ -37,6 +37,8 @@ class PolicyFacts:
     """Foresight that it declares, of what this environment has: keys of `FORESIGHT`."""
     kind: Kind | Literal["not declared"] | None = None
     """Kind of policy as it was declared; None: it is learned if it was trained, or else classical."""
+    interface: dict[str, str] = field(default_factory=dict)
+    """Values of the options by which it saw and commanded the robot, and `frames`, the observations at a time."""
     isolated: bool = False
     """True if it played in a process of its own, which got observations only."""
     transport_ms: Finite | None = None

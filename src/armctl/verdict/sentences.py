@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from armctl.episodes.table import EpisodeTable
-from armctl.policies import isolation, privileges
+from armctl.policies import interfaces_in_words, isolation, privileges
 from armctl.runtime.provenance import looks_in_words
 from armctl.stats.difference import MARGIN, SIGNIFICANT, Difference, significant, within
 from armctl.stats.intervals import FEWEST
@@ -69,7 +69,8 @@ def verdict(
     further = (sentence for sentences in others for sentence in sentences)
     main = _main_policies(pairs)
     sees = privileges({policy.policy: policy.privilege for policy in main})
-    context = _joined(*first[1:], *further, _effort(main), sees, _scope(pairs), *remarks)
+    commands = interfaces_in_words({policy.policy: policy.interface for policy in main})
+    context = _joined(*first[1:], *further, _effort(main), sees, commands, _scope(pairs), *remarks)
     return Verdict(first[0], _decision_times(main), context)
 
 

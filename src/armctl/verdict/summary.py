@@ -110,6 +110,8 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
     """Kind of method that the policy declares, such as `MPC`; of another, its name."""
     foresight: tuple[str, ...] = ()
     """Foresight, such as `pedestrians`."""
+    interface: dict[str, str] = field(default_factory=dict)
+    """Interface as `PolicyFacts` has it."""
     isolated: bool = False
     """True if it played in a process of its own, which got observations only."""
     transport_ms: float | None = None
@@ -213,6 +215,7 @@ def summarise(
             spared=members[0].spared,
             family=members[0].family or name,
             foresight=members[0].foresight,
+            interface=members[0].interface,
             isolated=all(member.isolated for member in members),
             kind=members[0].kind,
             transport_ms=members[0].transport_ms,

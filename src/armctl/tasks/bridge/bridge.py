@@ -94,7 +94,7 @@ class BridgeTask(Task):
             )
         self._furniture = Furniture(self.simulation, options.deck_length, options.blocks, options.walkers, MOVES)
         self.rover = self._make_rover()
-        self.joints = self.rover.joints
+        self.joints, self.rollout_worlds = self.rover.joints, self.rover.rollout_worlds
         self._see = self._make_camera()
         worlds = np.arange(n, dtype=np.int32)
         self._people = make_pedestrians(n, options)

@@ -1,9 +1,11 @@
 """The bridge with physics: a rover on MuJoCo's wheels, whose contacts and joints are recorded in each control step."""
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.robots.rover import PARTS, Rover
+from armctl.robots.rover import PARTS, Rover, driven_rovers
 from armctl.simulation import ContactSensors, Simulation
 from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout
@@ -20,6 +22,8 @@ class PhysicalRover(Rover):
         self.joints = self.wheel_samples(MOVES, CONTROL_PERIOD)
         self._poses = furniture.poses
         self._ticks = round(CONTROL_PERIOD / MOVES / simulation.model.opt.timestep)
+        self.rollout_worlds = functools.partial(driven_rovers, ticks=MOVES, period=CONTROL_PERIOD)
+        """Maker of worlds in which such rovers drive alike, with nothing else on the deck."""
         self._contacts = ContactSensors(simulation, PARTS, CONTACT_CLASSES)
 
     def place(self, ids: Ids, layouts: list[Layout]) -> None:

@@ -88,7 +88,7 @@ def block_rows(blocks: Array) -> Array:
 class PlanarRover(Rover):
     """n rovers without physics. Their poses are in the simulation's `qpos`, where pictures find them."""
 
-    joints = None
+    joints = rollout_worlds = None
 
     def __init__(self, simulation: Simulation, furniture: Furniture, options: BridgeOptions) -> None:
         super().__init__(simulation)

@@ -95,7 +95,7 @@ class ReachTask(Task):
         model.geom("target").size[:] = options.tolerance
         super().__init__(Simulation(model, n, threads, speed_limits(description)), CONTROL_PERIOD)
         self.arm = Arm(self.simulation, description, options.control, CONTROL_PERIOD)
-        self.joints = self.arm.joints
+        self.joints, self.rollout_worlds = self.arm.joints, self.arm.rollout_worlds
         self._workspace = Workspace(ArmModel(description))
         self.simulation.model.camera(self.camera).pos[:] *= self._workspace.radius  # the MJCF's suits a reach of 1 m
         self._targets = self.simulation.array("mocap_pos")[:, 0]
