@@ -167,8 +167,10 @@ class TrialLog:
 
     def check_plan(self, policies: Sequence[str], episodes: int | None, seed: int | None, task: str = "") -> None:
         """Raise `ResultsError` unless a log is what was asked for, as far as something was."""
-        asked = {"policies": [" ".join(name.split()) for name in policies] or None, "episodes": episodes, "seed": seed}
-        asked["task"] = " ".join(task.split()) or None
+        asked: dict[str, list[str] | str | int | None] = {
+            "policies": [" ".join(name.split()) for name in policies] or None, "episodes": episodes, "seed": seed,
+            "task": " ".join(task.split()) or None,
+        }  # fmt: skip
         for name, value in asked.items():
             if value not in (None, present := getattr(self, name)):
                 raise ResultsError(f"{self.path} is a log of other {name}, {present}: leave them out to go on with it")
