@@ -228,7 +228,7 @@ class PreparedReachOmpl(ReachOmpl):
         self._belief.reset()
         self._model, self._shapes = self._nominal, self._nominal_shapes
         self._boxes, self._planned_for = StandingObjects(), np.zeros(0)
-        self._arrivals, self._errors = 0, np.zeros(self._model.dof + 1)
+        self._arrivals, self._errors = 0, np.zeros(self._model.num_segments)
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""

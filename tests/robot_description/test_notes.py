@@ -199,15 +199,6 @@ def chain(**changes):
     return text.replace(second, changed)
 
 
-@pytest.mark.parametrize("kind", ["revolute", "continuous"])
-def test_a_joint_of_the_chain_that_mimics_another_has_no_motor(urdf, kind):
-    text = chain(more=("</joint>", '<mimic joint="j1" multiplier="-1"/></joint>'), kind=("revolute", kind))
-    with pytest.raises(ConfigurationError, match=r"'j2' between root and tip mimics 'j1'.*a motor for each"):
-        load_arm(urdf(text))
-    assert load_arm(urdf(text.replace(f'name="j2" type="{kind}"', 'name="j2" type="fixed"'))).dof == 5
-    assert load_arm(urdf(text), tip="l1").dof == 1
-
-
 def test_joints_beside_the_chain_are_told(urdf):
     finger = joint("finger", "l6", "pad", "prismatic", '<limit lower="0.01" upper="0.04" velocity="1" effort="1"/>')
     second = joint("second", "l6", "pad2", "prismatic").replace("</joint>", '<mimic joint="finger"/></joint>')

@@ -10,6 +10,7 @@ again. So there always is a safe command, if the arm is as heavy and as strong a
 import numpy as np
 
 from armctl.core.arrays import Array
+from armctl.core.errors import ConfigurationError
 from armctl.kernels import braking
 from armctl.kernels.edges import NEAR_START, Scene, measure_all
 from armctl.kinematics import ArmShapes
@@ -35,6 +36,8 @@ class ArmFilter:
     ) -> None:
         pairs, motion = shapes.with_boxes(boxes)
         model = shapes.model
+        if model.description.followers:
+            raise ConfigurationError("the safety filter has no dynamics of an arm with joints that follow others")
         scene = Scene(model.joints, model.links, pairs, box_records(boxes))
         distances = np.empty(len(pairs))
         measure_all(scene, model.home, distances)

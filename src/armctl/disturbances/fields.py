@@ -83,14 +83,16 @@ class JointFriction(FieldDisturbance):
     """Dry friction in each joint: the share `level` of its torque limit."""
 
     def __init__(self, task: Disturbable, level: float) -> None:
-        dofs = range(task.simulation.model.nv)
-        super().__init__(task, level, {"dof_frictionloss": dofs, "dof_solimp": dofs})
+        assert task.joints is not None
+        self._dofs = task.joints.part.dofs
+        super().__init__(task, level, {"dof_frictionloss": self._dofs, "dof_solimp": self._dofs})
 
     def apply(self, ids: NDArray[np.int32]) -> None:
         """Set the friction."""
         assert self.task.joints is not None
-        self.fields["dof_frictionloss"][ids] = self.levels[ids, None] * self.task.joints.limits.torque
-        self.fields["dof_solimp"][ids, :, :2] = STIFF
+        friction = self.levels[ids, None] * self.task.joints.limits.torque
+        self.fields["dof_frictionloss"][ids[:, None], self._dofs] = friction
+        self.fields["dof_solimp"][ids[:, None], self._dofs, :2] = STIFF
 
 
 class Slipperiness(FieldDisturbance):

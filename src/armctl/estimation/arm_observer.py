@@ -140,7 +140,7 @@ class ArmObserver:
     ) -> None:
         self._model, self._period, self._moving, self._clock = model, period, moving, clock
         self.options = options = options or ArmObserverOptions()
-        dof, eye, memory = model.dof, np.eye, options.noise_memory
+        dof, lengths, eye, memory = model.dof, model.num_segments, np.eye, options.noise_memory
         self._joints = KalmanFilter(
             constant_velocity(dof, period, options.servo_acceleration, options.joint_noise),
             options=EstimationOptions(noise_memory=memory, gate=1.0),
@@ -151,7 +151,7 @@ class ArmObserver:
         )
         tip = options.tip_noise**2 * eye(3)
         self._links = KalmanFilter(
-            LinearModel(eye(dof + 1), np.zeros((dof + 1, dof + 1)), np.zeros((3, dof + 1)), tip),
+            LinearModel(eye(lengths), np.zeros((lengths, lengths)), np.zeros((3, lengths)), tip),
             options=EstimationOptions(gate=1.0),
         )
         tracked = constant_acceleration(3, period, options.target_jerk, options.tip_noise)
@@ -168,8 +168,10 @@ class ArmObserver:
         for each in (self._joints, self._targets):
             each.reset()
         self._load.reset(np.zeros(dof), 1e-8 * np.eye(dof))
-        variances = np.append(0.0, np.full(dof, self.options.link_error**2))  # the first joint is where it is mounted
-        self._links.reset(np.zeros(dof + 1), np.diag(variances))
+        lengths = self._model.num_segments
+        variances = np.full(lengths, self.options.link_error**2)
+        variances[0] = 0.0  # the first joint is where it is mounted
+        self._links.reset(np.zeros(lengths), np.diag(variances))
         self.delay = 0
         """Control steps between a command and its effect."""
         self._errors = np.zeros(self.options.max_delay + 1)
@@ -202,7 +204,7 @@ class ArmObserver:
 
     @property
     def length_errors(self) -> Array:
-        """Relative errors (dof + 1,) of the links' lengths, in the order of `ArmModel.segments`."""
+        """Relative errors (joints + 1,) of the links' lengths, in the order of `ArmModel.segments`."""
         return np.asarray(self._links.mean[0])
 
     @property

@@ -1,12 +1,14 @@
 """Kinematics of a serial arm.
 
-An arm is an array (dof,) of `JOINT`: of each joint's frame in the one before it, at angle q,
+An arm is an array (joints,) of `JOINT`: of each joint's frame in the one before it, at angle q,
 
     rotation = base + sin(q) sine + (1 - cos(q)) versine,   origin = offset
 
 by Rodrigues' formula; of a joint that `slides`, rotation = base and origin = offset + q slide. `tip` and `tip_rotation`
-of the last one are the end-effector's position and axes in its frame.
-Frames in the base are `rotations` (dof, 3, 3) and `origins` (dof, 3).
+of the last one are the end-effector's position and axes in its frame. An arm's q (dof,) is that of its motors: the
+angle of a joint is `ratio` q[`motor`] + `shift`, so that there are more joints than motors if some follow others. The
+first dof joints have the motors' limits, whichever these move.
+Frames in the base are `rotations` (joints, 3, 3) and `origins` (joints, 3).
 """
 
 import math
@@ -24,6 +26,8 @@ JOINT = np.dtype(
         *((name, float) for name in ("lower", "upper", "top", "acceleration")),
         ("slides", int),
         ("slide", *VECTOR),
+        ("motor", int),
+        *((name, float) for name in ("ratio", "shift")),
     ]
 )
 
@@ -33,9 +37,11 @@ def forward(joints, q, rotations, origins):
     """Compute the frames of all joints at q (dof,)."""
     turn, offset = np.empty((3, 3)), np.empty(3)
     for k in range(len(joints)):
-        joint, sine, versine = joints[k], math.sin(q[k]), 1 - math.cos(q[k])
+        joint = joints[k]
+        angle = joint.ratio * q[joint.motor] + joint.shift
+        sine, versine = math.sin(angle), 1 - math.cos(angle)
         for i in range(3):
-            offset[i] = joint.offset[i] + q[k] * joint.slide[i] if joint.slides else joint.offset[i]
+            offset[i] = joint.offset[i] + angle * joint.slide[i] if joint.slides else joint.offset[i]
         for i in range(3):
             for j in range(3):
                 turn[i, j] = joint.base[i, j] + sine * joint.sine[i, j] + versine * joint.versine[i, j]
@@ -83,7 +89,7 @@ def tip_of(joints, rotations, origins, out):
 
 @compiled
 def axes_of(joints, rotations, axes):
-    """Compute the axes (dof, 3) of the joints."""
+    """Compute the axes (joints, 3) of the joints."""
     for k in range(len(joints)):
         turned(rotations[k], joints[k].axis, axes[k])
 
@@ -103,21 +109,35 @@ def gradient_of(joint, axis, origin, point, out):
 
 @compiled
 def gradients_of(joints, axes, origins, point, out):
-    """Compute the motion (dof, 3) of a point of the last link by each joint, m/rad."""
-    for k in range(len(axes)):
-        gradient_of(joints[k], axes[k], origins[k], point, out[k])
+    """Compute the motion (dof, 3) of a point of the last link by each motor, m/rad."""
+    moved = np.empty(3)
+    out[:] = 0.0
+    for k in range(len(joints)):
+        joint = joints[k]
+        gradient_of(joint, axes[k], origins[k], point, moved)
+        for i in range(3):
+            out[joint.motor, i] += joint.ratio * moved[i]
+
+
+@compiled
+def number_of_motors(joints):
+    """Return the dof of an arm."""
+    last = -1
+    for k in range(len(joints)):
+        last = max(last, joints[k].motor)
+    return last + 1
 
 
 @compiled
 def workspace(joints):
-    """Allocate memory for `linearise`: frames, axes, the end-effector's position, and how the joints move it."""
-    dof = len(joints)
-    return np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3)), np.empty(3), np.empty((dof, 3))
+    """Allocate memory for `linearise`: frames, axes, the end-effector's position, and how the motors move it."""
+    count, dof = len(joints), number_of_motors(joints)
+    return np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3)), np.empty(3), np.empty((dof, 3))
 
 
 @compiled
 def linearise(joints, q, memory):
-    """Return the end-effector position (3,) at q (dof,), and how the joints move it, (dof, 3) m/rad."""
+    """Return the end-effector position (3,) at q (dof,), and how the motors move it, (dof, 3) m/rad."""
     rotations, origins, axes, tip, gradients = memory
     forward(joints, q, rotations, origins)
     tip_of(joints, rotations, origins, tip)
@@ -137,7 +157,7 @@ def tips(joints, q, out):
 
 @compiled
 def segments(joints, q, out):
-    """Compute the vectors (dof + 1, 3) from the base over all joints to the end-effector, whose sum is its position."""
+    """Compute the vectors (joints + 1, 3) from the base over all joints to the end-effector: they sum to its place."""
     rotations, origins, tip = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3)), np.empty(3)
     forward(joints, q, rotations, origins)
     tip_of(joints, rotations, origins, tip)

@@ -110,7 +110,8 @@ def add_motion(chain, joint, point, normal, sign, row):
     moved, (joints, axes, origins) = np.empty(3), chain
     for k in range(joint):
         gradient_of(joints[k], axes[k], origins[k], point, moved)
-        row[k] += sign * (normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2])
+        along = normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2]
+        row[joints[k].motor] += joints[k].ratio * sign * along
 
 
 @compiled
@@ -155,8 +156,8 @@ def nearest_pairs(scene, q, distances, gradients):
     Distances of pairs that are missing are infinite, and gradients zero.
     """
     joints, links, pairs, boxes, samples, scales = scene
-    dof, count = len(joints), distances.shape[1]
-    rotations, origins, axes = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
+    frames, dof, count = len(joints), q.shape[1], distances.shape[1]
+    rotations, origins, axes = np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, 3))
     ends, pair_distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
     for row in range(len(q)):
         forward(joints, q[row], rotations, origins)

@@ -86,6 +86,8 @@ class Drives(NamedTuple):
     to_positions: bool
     following_error: float
     """rad."""
+    columns: Indices
+    """Columns (k,) of the joints' positions in `qpos`."""
 
 
 class Samples(NamedTuple):
@@ -285,7 +287,7 @@ def sample(buffers, samples, target_query, world, tick_number):
 def control_steps(ids, clock, buffers, worlds, impact, parts):
     """Advance worlds `ids` by a control step: all other arguments are in this module."""
     drives, samples, target_query, contacts, poses = parts
-    state_before = np.empty(worlds.state.shape[1])
+    state_before, positions = np.empty(worlds.state.shape[1]), np.empty(len(drives.joints))
     for world in ids:
         row, good = worlds.state[world], worlds.good[world]
         for i in range(len(buffers.world_fields)):
@@ -299,8 +301,10 @@ def control_steps(ids, clock, buffers, worlds, impact, parts):
                 if moving:
                     move(buffers, poses, world, k)
                 start = row[clock.column]
+                for i in range(len(positions)):
+                    positions[i] = buffers.qpos[drives.columns[i]]
                 drive_joints(
-                    drives.joints, drives.setpoints[world], drives.to_positions, buffers.qpos, buffers.act,
+                    drives.joints, drives.setpoints[world], drives.to_positions, positions, buffers.act,
                     buffers.ctrl, drives.following_error, clock.timestep * clock.substeps,
                 )  # fmt: skip
                 hit, stable = tick(buffers, impact, row, state_before, good, clock.substeps, k > 0 and not moving)

@@ -53,7 +53,7 @@ def drive_joints(joints, setpoints, to_positions, positions, commands, velocitie
     Commands wait for `positions` (dof,) that are more than `following_error` (rad) behind. `velocities` (2 dof,) are
     given twice: to the servos' position and to their velocity.
     """
-    dof = len(joints)
+    dof = len(positions)
     for i in range(dof):
         joint, position, velocity = joints[i], positions[i], setpoints[i]
         command = min(max(commands[i], position - following_error), position + following_error)
@@ -79,7 +79,7 @@ def follow(joint, goal, position, velocity, ticks, tick):
 @compiled
 def follow_all(joints, goals, positions, velocities, ticks, tick):
     """Move `positions` and `velocities` (dof,) on by some ticks towards `goals` (dof,)."""
-    for i in range(len(joints)):
+    for i in range(len(goals)):
         positions[i], velocities[i] = follow(joints[i], goals[i], positions[i], velocities[i], ticks, tick)
 
 
@@ -91,7 +91,7 @@ def goals_for(joints, positions, velocities, displacements, shares, ticks, tick,
     `shares` (m,) of its largest change of speed; between the two that enclose the displacement, it is interpolated.
     """
     period = ticks * tick
-    for i in range(len(joints)):
+    for i in range(len(goals)):
         joint, position, velocity = joints[i], positions[i], velocities[i]
         low = high = low_displacement = high_displacement = 0.0
         for k in range(len(shares)):
@@ -120,7 +120,7 @@ def travel_time(displacement, velocity, top, acceleration):
 def min_time(joints, start, velocity, goal):
     """Return the minimum time (s) for all joints to move from `start` with `velocity` to `goal`, (dof,) each."""
     time = 0.0
-    for i in range(len(joints)):
+    for i in range(len(goal)):
         time = max(time, travel_time(goal[i] - start[i], velocity[i], joints[i].top, joints[i].acceleration))
     return time
 
@@ -150,7 +150,7 @@ def trapezoidal_displacement(time, displacement, top, acceleration):
 def profiles(joints, times, displacements, moved):
     """Compute the trapezoidal profiles of all joints: `moved` (n, dof) at `times` (n,), to `displacements` (dof,)."""
     for row in range(len(times)):
-        for i in range(len(joints)):
+        for i in range(len(displacements)):
             moved[row, i] = trapezoidal_displacement(
                 times[row], displacements[i], joints[i].top, joints[i].acceleration
             )
@@ -163,7 +163,7 @@ def fly_by(joints, start, positions, time, overruns, commands):
     A joint that would be late if it stopped there overruns it, by the least of the fractions `overruns` of its braking
     distance with which it is in time.
     """
-    for i in range(len(joints)):
+    for i in range(len(start)):
         joint, displacement = joints[i], positions[i] - start[i]
         speed = min(joint.top, math.sqrt(2 * joint.acceleration * abs(displacement)))
         braking = math.copysign(speed * speed / (2 * joint.acceleration), displacement)

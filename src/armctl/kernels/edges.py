@@ -158,7 +158,7 @@ def shortcut(scene, path, corners, draws, faster, bounds):
     is free. Returns the number of corners, and the number of configurations checked.
     """
     joints = scene.joints
-    times, ends, checks = np.zeros(len(path)), np.empty((2, len(joints))), 0
+    times, ends, checks = np.zeros(len(path)), np.empty((2, path.shape[1])), 0
     for draw in draws:
         for i in range(1, corners):
             times[i] = times[i - 1] + cruise_time(joints, path[i - 1], path[i])
@@ -246,6 +246,6 @@ def stops_freely(scene, position, velocity, goal, ticks, tick, max_edges, bounds
 def cruise_time(joints, a, b):
     """Time (s) from a to b (dof,) at the velocity limit of the slowest joint."""
     time = 0.0
-    for k in range(len(joints)):
+    for k in range(len(a)):
         time = max(time, abs(b[k] - a[k]) / joints[k].top)
     return time

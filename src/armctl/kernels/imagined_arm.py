@@ -89,8 +89,8 @@ def move(arms, tolerance, goals, ticks, tick):
     After each tick, an arm that is below a margin becomes `TOUCHED`, or else one within `tolerance` (m) `ARRIVED`.
     """
     joints, links, motion, states = arms.joints, arms.links, arms.motion, arms.states
-    dof = len(joints)
-    rotations, origins, moved = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(dof)
+    dof, frames = arms.positions.shape[1], len(joints)
+    rotations, origins, moved = np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty(dof)
     ends, tip = np.empty((len(links), 2, 3)), np.empty(3)
     for arm in range(len(states)):
         scene, margins, slack = scene_of(arms, arm), arms.margins[arm], arms.slack[arm]

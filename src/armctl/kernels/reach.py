@@ -80,7 +80,7 @@ def damped_step(gradients, error, damping, step):
 @compiled
 def approach(joints, q, centres, iterations):
     """Make Levenberg-Marquardt iterations from q (n, dof), in place, to end-effector positions `centres` (n, 3), m."""
-    dof = len(joints)
+    dof = q.shape[1]
     memory, error, step = workspace(joints), np.empty(3), np.empty(dof)
     for row in range(len(q)):
         for _ in range(iterations):
@@ -105,7 +105,7 @@ def step_into_sphere(joints, q, start, centre, radius, max_step, memory, step):
     Returns the time (s) from `start` to q, and the distance (m) at q from the sphere's centre. Newton's method improves
     the time. Two of its steps are enough: programs solved to convergence overshoot, since they are valid only nearby.
     """
-    dof = len(joints)
+    dof = len(q)
     position, velocity = start
     tip, gradients = linearise(joints, q, memory)
     x, y, z = centre[0] - tip[0], centre[1] - tip[1], centre[2] - tip[2]
@@ -144,7 +144,7 @@ def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
     In place, q becomes the best that was met in the sphere, and `times` (n,) when it is reached: infinite if none was.
     Its sphere is around `centres` (n, 3), and arms move from `starts` with `velocities`, (n, dof) each.
     """
-    dof = len(joints)
+    dof = q.shape[1]
     memory, step, at = workspace(joints), np.empty(dof), np.empty(dof)
     for row in range(len(q)):
         times[row] = np.inf
@@ -164,7 +164,7 @@ def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
 def nearest_turn(joints, q, seed, out):
     """Shift each joint of q (dof,) by whole turns to be near `seed` (dof,), as far as its limits allow."""
     turn = 2 * math.pi
-    for k in range(len(joints)):
+    for k in range(len(q)):
         near = q[k] + turn * round((seed[k] - q[k]) / turn)
         out[k] = near + turn * (near < joints[k].lower) - turn * (near > joints[k].upper)
 
@@ -178,7 +178,7 @@ def move_to(joints, q, positions, centres, radius, iterations, excess):
     tip_positions = np.empty((len(q), 3))
     approach(joints, q, positions, iterations)
     for row in range(len(q)):
-        for k in range(len(joints)):
+        for k in range(q.shape[1]):
             q[row, k] = min(max(q[row, k], joints[k].lower), joints[k].upper)
     tips(joints, q, tip_positions)
     for row in range(len(q)):
@@ -203,7 +203,7 @@ def remaining_time(distance, radius):
 @compiled
 def min_times_into_spheres(joints, q, velocities, spheres, radius, iterations, max_steps, times):
     """Compute the `times` (m,) of `armctl.kinematics.ReachTimes`, s, from q (m, dof) with `velocities` into spheres."""
-    dof = len(joints)
+    dof = q.shape[1]
     centres, goals, excess = spheres
     memory, goal, turned, step = workspace(joints), np.empty((1, dof)), np.empty(dof), np.empty(dof)
     tip, aim, late_by = np.empty((1, 3)), np.empty((1, 3)), np.empty(1)

@@ -21,7 +21,7 @@ class Knots(NamedTuple):
     errors: Array
     """(N, 3) m: of the tips from their targets."""
     axes: Array
-    """(N, dof, 3): of the joints."""
+    """(N, dof, 3): of the joints; zero for what has no second derivatives."""
     gradients: Array
     """(N, dof, 3) m/rad: derivatives of the tip's position by each joint."""
 
@@ -58,7 +58,7 @@ def fastest_to_stop(room, period, acceleration):
 def project(joints, period, position, velocity, targets, positions, velocities, accelerations):
     """Compute the motion near velocities `targets` (N + 1, dof) that keeps the limits, if the initial state allows."""
     horizon, leaves = len(accelerations), False
-    for i in range(len(joints)):
+    for i in range(len(position)):
         joint, changed = joints[i], velocity[i]
         change = joint.acceleration * period
         velocities[0, i] = changed
@@ -66,14 +66,14 @@ def project(joints, period, position, velocity, targets, positions, velocities, 
             changed += min(max(targets[k + 1, i] - targets[k, i], -change), change)
             velocities[k + 1, i] = min(max(changed, -joint.top), joint.top)
     roll_out(period, position, velocities, positions, accelerations)
-    for i in range(len(joints)):
+    for i in range(len(position)):
         joint, last = joints[i], velocities[horizon, i]
         stop = positions[horizon, i] + last * (abs(last) / (2 * joint.acceleration) + period / 2)
         leaves = leaves or stop < joint.lower or stop > joint.upper
         for k in range(horizon + 1):
             leaves = leaves or positions[k, i] < joint.lower or positions[k, i] > joint.upper
     if leaves:
-        for i in range(len(joints)):
+        for i in range(len(position)):
             joint, at = joints[i], position[i]
             change = joint.acceleration * period
             for k in range(horizon):
@@ -91,7 +91,7 @@ def project(joints, period, position, velocity, targets, positions, velocities, 
 def brake(joints, period, velocity, velocities):
     """Compute `velocities` (N + 1, dof) of joints that brake from `velocity` (dof,) until they stop."""
     for k in range(len(velocities)):
-        for i in range(len(joints)):
+        for i in range(len(velocity)):
             speed = max(abs(velocity[i]) - k * joints[i].acceleration * period, 0.0)
             velocities[k, i] = math.copysign(speed, velocity[i])
 
@@ -99,7 +99,7 @@ def brake(joints, period, velocity, velocities):
 @compiled
 def go_straight(joints, period, position, velocity, goal, velocities):
     """Compute `velocities` (N + 1, dof) of joints that each move to `goal` (dof,) in minimum time, and stop there."""
-    for i in range(len(joints)):
+    for i in range(len(position)):
         joint, at, speed = joints[i], position[i], velocity[i]
         change = joint.acceleration * period
         velocities[0, i] = speed
@@ -134,17 +134,21 @@ def evaluate_knots(scene, targets, knots, min_distances):
     """Compute errors from `targets` (N, 3) m, axes and gradients of `knots`, and `min_distances` of pairs (N,) m."""
     joints, links, pairs, boxes, samples, scales = scene
     q, errors, axes, gradients = knots
-    dof = len(joints)
-    rotations, origins, tip = np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty(3)
+    count, dof = len(joints), q.shape[1]
+    rotations, origins, tip = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty(3)
+    own_axes = np.empty((count, 3))
     ends, distances = np.empty((len(links), 2, 3)), np.empty(len(pairs))
     for k in range(len(q)):
         forward(joints, q[k], rotations, origins)
         tip_of(joints, rotations, origins, tip)
-        axes_of(joints, rotations, axes[k])
-        gradients_of(joints, axes[k], origins, tip, gradients[k])
+        axes_of(joints, rotations, own_axes)
+        gradients_of(joints, own_axes, origins, tip, gradients[k])
         for i in range(dof):
-            if joints[i].slides:
-                axes[k, i] = 0.0  # such a joint turns nothing, which its axis stands for in second derivatives
+            # A joint that slides turns nothing, which its axis stands for in second derivatives; if joints follow
+            # others, these are left out: what remains is Gauss and Newton's part.
+            curves = count == dof and not joints[i].slides
+            for axis in range(3):
+                axes[k, i, axis] = own_axes[i, axis] if curves else 0.0
         for i in range(3):
             errors[k, i] = tip[i] - targets[k, i]
         if len(pairs):

@@ -87,7 +87,7 @@ def move(arm, goal, target, memory):
     distance = 0.0
     for tick in range(1, arm.ticks + 1):
         follow_all(joints, goal, q, speed, 1, arm.tick)
-        for i in range(len(joints)):
+        for i in range(len(speed)):
             moved[i] += abs(speed[i] * arm.tick)
         if tick % CHECKED_TICKS and tick < arm.ticks:
             continue
@@ -128,10 +128,10 @@ def reach(arm, position, velocity, candidates, costs):
     These are (n, horizon, dof): joint positions in each period. A contact ends a rollout, and costs all periods that
     remain; so does an arrival at a target that need not be held, for which they cost nothing.
     """
-    dof, num_pairs = len(arm.scene.joints), len(arm.scene.pairs)
+    dof, frames, num_pairs = len(position), len(arm.scene.joints), len(arm.scene.pairs)
     memory = Memory(
-        np.empty(dof), np.empty(dof), np.zeros(dof), np.empty(num_pairs), np.empty(num_pairs), np.empty((dof, 3, 3)),
-        np.empty((dof, 3)), np.empty((len(arm.scene.links), 2, 3)), np.empty(3),
+        np.empty(dof), np.empty(dof), np.zeros(dof), np.empty(num_pairs), np.empty(num_pairs),
+        np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((len(arm.scene.links), 2, 3)), np.empty(3),
     )  # fmt: skip
     slack_at_start = np.empty(num_pairs)
     measure_all(arm.scene, position, slack_at_start)

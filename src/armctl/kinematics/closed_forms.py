@@ -29,7 +29,7 @@ SAME = 1e-9
 
 def six_joints(model: ArmModel) -> ClosedForm | None:
     """Return EAIK's closed form for the arm, or None if it has no decomposition for it."""
-    if model.dof != 6 or model.description.sliding:
+    if model.dof != 6 or model.description.sliding or model.description.followers:
         return None
     origins = [np.zeros(3)]
     axes = []
@@ -55,7 +55,7 @@ def seven_joints(model: ArmModel) -> ClosedForm | None:
     """Return ssik's closed form for the arm; None if ssik is not installed, or does not know the arm."""
     name = PREBUILT.get(model.description.name)
     solver = _ssik(name) if name else None
-    if solver is None or solver.dof != model.dof:
+    if solver is None or solver.dof != model.dof or model.description.followers:
         return None
     to_tip = np.linalg.inv(solver.fk(model.home)) @ model.pose(model.home)
     samples = model.random_configurations(np.random.default_rng(0), 20)

@@ -6,6 +6,8 @@ between. An edge is bisected until that bound suffices (Schwarzer, Saha and Lato
 checking for single and multiple robots in complex environments", IEEE Trans. Robotics 2005).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -39,7 +41,7 @@ class ArmShapes:
         self._on_upright = is_upright(model.pinocchio)
         ends = np.stack((links["start"], links["end"]), axis=1)
         bounds = [self._bounds(*link) for link in zip(links["joint"], ends, links["radius"], strict=True)]
-        self._radii = np.array([radii for radii, _ in bounds]).reshape(-1, model.dof)
+        self._radii = np.array([radii for radii, _ in bounds]).reshape(-1, len(model.joints))
         self._reach = np.array([reach for _, reach in bounds])
         self.self_pairs = len(model.link_pairs)
         self._pairs = [(edges.LINKS, *pair) for pair in model.link_pairs]
@@ -62,7 +64,7 @@ class ArmShapes:
         near = (beyond[:, None] <= self._reach + FAR) & (self.model.links["joint"] > 0)
         pairs = [*self._pairs, *((edges.LINK_AND_BOX, link, box) for box, link in np.argwhere(near))]
         motion = [*self._motion, *self._radii[np.argwhere(near)[:, 1]]]
-        return np.array(pairs, dtype=edges.PAIR), np.array(motion).reshape(-1, self.model.dof)
+        return np.array(pairs, dtype=edges.PAIR), self._by_motors(motion)
 
     def with_any_boxes(self, max_boxes: int) -> tuple[Records, Array, int]:
         """Return the same for any `max_boxes` boxes: all own pairs, their number, then the pairs of each box.
@@ -72,11 +74,16 @@ class ArmShapes:
         moving = np.flatnonzero(self.model.links["joint"] > 0)
         pairs = [*self._pairs, *((edges.LINK_AND_BOX, link, box) for box in range(max_boxes) for link in moving)]
         motion = [*self._motion, *np.tile(self._radii[moving], (max_boxes, 1))]
-        return np.array(pairs, dtype=edges.PAIR), np.array(motion).reshape(-1, self.model.dof), len(self._pairs)
+        return np.array(pairs, dtype=edges.PAIR), self._by_motors(motion), len(self._pairs)
+
+    def _by_motors(self, motion: Sequence[Array]) -> Array:
+        """Return bounds (pairs, dof) on relative motion, by those (pairs, m) of all joints with and without motor."""
+        of_joints, description = np.array(motion).reshape(-1, len(self.model.joints)), self.model.description
+        return of_joints @ np.abs(description.coupling[0]) if description.followers else of_joints
 
     def _between(self, first: int, second: int) -> NDArray[np.bool_]:
-        """Return which joints (dof,) move two joints' frames against each other."""
-        joints = np.arange(1, self.model.dof + 1)
+        """Return which joints (m,) move two joints' frames against each other."""
+        joints = np.arange(1, len(self.model.joints) + 1)
         return np.asarray((joints > min(first, second)) & (joints <= max(first, second)))
 
     def _lowest_on_second_joint(self, point: Array) -> float:
@@ -89,17 +96,18 @@ class ArmShapes:
         return float(height - _off_axis(point, axis) * np.sqrt(max(0.0, 1 - upward**2)))
 
     def _bounds(self, joint: int, ends: Array, radius: float) -> tuple[Array, float]:
-        """Bound how far a shape's points move with each joint (dof,) m/rad, and their distance (m) from the shoulder.
+        """Bound how far a shape's points move with each joint (m,) m/rad, and their distance (m) from the shoulder.
 
         The former is their distance from the joint's axis.
 
         Its points are within `radius` of a segment between `ends` (k, 3), in the frame of `joint`.
         """
-        radii = np.zeros(self.model.dof)
+        radii = np.zeros(len(self.model.joints))
         if joint == 0:
             return radii, 0.0
-        joints, limits = self.model.joints, self.model.limits
-        slides = joints["slides"] * np.maximum(abs(limits.lower), abs(limits.upper))
+        joints, limits, description = self.model.joints, self.model.limits, self.model.description
+        ends_of_range = (description.all_positions(end) for end in (limits.lower, limits.upper))
+        slides = joints["slides"] * np.maximum(*map(abs, ends_of_range))
         radii[joint - 1] = max(_off_axis(end, self.model.axes[joint - 1]) for end in ends) + radius
         reach = max(float(np.linalg.norm(end)) for end in ends) + radius
         for i in range(joint - 1, 0, -1):

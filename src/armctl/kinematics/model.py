@@ -30,7 +30,7 @@ class ArmModel:
         self.limits = self.description.limits
         self.dof = self.description.dof
         self.home = self.description.home
-        self.pinocchio = pinocchio.buildModelFromXML(self.description.urdf)
+        self.pinocchio = pinocchio.buildModelFromXML(self.description.urdf, mimic=True)
         if self.description.armature:
             self.pinocchio.armature = np.array(self.description.armature)
         self.tip = link_frame(self.pinocchio, self.description.tip)
@@ -39,7 +39,7 @@ class ArmModel:
         """Obstacles."""
         self._boxes = box_records(NO_BOXES)
         self.axes = self._joint_axes()
-        """Axis of each joint in its own frame, (dof, 3)."""
+        """Axis of each joint in its own frame, (m, 3): of those that follow others, too."""
         self.joints: Records = joint_records(self.pinocchio, self.axes, self.description)
         """For `armctl.kernels.arm`."""
         self.links: Records = link_records(self.pinocchio, self.description)
@@ -62,7 +62,7 @@ class ArmModel:
         return model
 
     def with_lengths(self, errors: Array) -> "ArmModel":
-        """Return the same arm with links longer by `errors` (dof + 1,), relative, in the order of `segments`."""
+        """Return the same arm with links longer by `errors` (`num_segments`,), relative, in the order of `segments`."""
         model = copy.copy(self)
         model.__dict__.pop("_weightless", None)
         model.pinocchio = self.pinocchio.copy()
@@ -107,12 +107,17 @@ class ArmModel:
         arm.tips(self.joints, flat, positions)
         return positions.reshape(*np.shape(q)[:-1], 3)
 
+    @property
+    def num_segments(self) -> int:
+        """Number of joints, also of those that follow others, and 1."""
+        return len(self.joints) + 1
+
     def segments(self, q: Array) -> Array:
-        """Return the vectors (dof + 1, 3) m from the base over all joints to the end-effector: they sum to its place.
+        """Return the vectors (`num_segments`, 3) m from base to end-effector over all joints: they sum to its place.
 
         The error of the end-effector is linear in errors of the links' lengths: each adds its share of a vector.
         """
-        vectors = np.empty((self.dof + 1, 3))
+        vectors = np.empty((self.num_segments, 3))
         arm.segments(self.joints, np.ascontiguousarray(q, dtype=float), vectors)
         return vectors
 
@@ -195,6 +200,10 @@ class ArmModel:
         """
         if sliding := self.description.sliding:
             raise ConfigurationError(f"networks that know an arm's links take joints that turn; {sliding[0]!r} slides")
+        if followers := self.description.followers:
+            raise ConfigurationError(
+                f"networks that know an arm's links take joints with a motor; {followers[0].joint!r} has none"
+            )
         joint, points, radii = [], [], []
         for link in self.links[self.links["joint"] > 0]:
             number = 1 + math.ceil(float(np.linalg.norm(link["end"] - link["start"])) / spacing)
@@ -211,16 +220,16 @@ class ArmModel:
         return np.asarray(jacobian).reshape(6, self.dof)  # Pinocchio returns a vector for a single joint
 
     def _joint_axes(self) -> Array:
-        """Return the axis of each joint in its own frame, (dof, 3)."""
-        pinocchio.computeJointJacobians(self.pinocchio, self._data, np.zeros(self.dof))
-        jacobians = (
-            pinocchio.getJointJacobian(self.pinocchio, self._data, i + 1, pinocchio.LOCAL) for i in range(self.dof)
-        )
-        columns = [jacobian.reshape(6, self.dof)[:, i] for i, jacobian in enumerate(jacobians)]
+        """Return the axis of each joint in its own frame, (m, 3)."""
+        model = pinocchio.buildModelFromXML(self.description.urdf)  # with a motor for each
+        data, count = model.createData(), model.nv
+        pinocchio.computeJointJacobians(model, data, np.zeros(count))
+        jacobians = (pinocchio.getJointJacobian(model, data, i + 1, pinocchio.LOCAL) for i in range(count))
+        columns = [jacobian.reshape(6, count)[:, i] for i, jacobian in enumerate(jacobians)]
         sliding = self.description.sliding
         return np.array([
             column[:3] if name in sliding else column[3:]
-            for name, column in zip(self.description.joints, columns, strict=True)
+            for name, column in zip(list(model.names)[1:], columns, strict=True)
         ])  # fmt: skip
 
     def _rows(self, q: ArrayLike) -> Array:

@@ -17,9 +17,12 @@ Records = NDArray[np.void]
 
 
 def joint_records(model: pinocchio.Model, axes: NDArray[np.float64], description: ArmDescription) -> Records:
-    """Return the joints (dof,) of an arm, whose `axes` (dof, 3) are in their own frames."""
-    joints = np.zeros(description.dof, JOINT)
-    joints["slides"] = [name in description.sliding for name in description.joints]
+    """Return the joints (m,) of an arm, whose `axes` (m, 3) are in their own frames."""
+    joints = np.zeros(len(axes), JOINT)
+    joints["slides"] = [name in description.sliding for name in list(model.names)[1:]]
+    coupling, joints["shift"] = description.coupling
+    joints["motor"] = np.abs(coupling).argmax(axis=1)
+    joints["ratio"] = coupling.sum(axis=1)
     for joint, placement, axis in zip(joints, model.jointPlacements[1:], axes, strict=True):
         if joint["slides"]:
             joint["base"], joint["offset"] = placement.rotation, placement.translation
@@ -32,7 +35,7 @@ def joint_records(model: pinocchio.Model, axes: NDArray[np.float64], description
     tip = model.frames[link_frame(model, description.tip)].placement
     joints["tip"], joints["tip_rotation"] = tip.translation, tip.rotation
     for name in DRIVE.fields or ():
-        joints[name] = description.limits.drives[name]
+        joints[name][: description.dof] = description.limits.drives[name]
     return joints
 
 

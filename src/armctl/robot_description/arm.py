@@ -23,6 +23,7 @@ from armctl.robot_description.capsules import Capsule, enclosing_capsule
 from armctl.robot_description.collision_pairs import CollisionPairs, Pair, pairs_worth_testing, posture_above_floor
 from armctl.robot_description.drawn_shapes import drawn_shapes
 from armctl.robot_description.effort import possible_accelerations
+from armctl.robot_description.followers import Follower
 from armctl.robot_description.joint_limits import OverrideOptions, Overrides, as_tuple
 from armctl.robot_description.notes import (
     in_words,
@@ -85,11 +86,28 @@ class ArmDescription:
     """Joints that slide: for rad in their limits, read m, and for N m, N."""
     armature: tuple[float, ...] = ()
     """Inertia of each joint's motor, kg m^2; empty: none."""
+    followers: tuple[Follower, ...] = ()
+    """Further joints from root to tip, which have no motor; only `urdf`, capsules and meshes know of them."""
 
     @property
     def dof(self) -> int:
-        """Number of joints."""
+        """Number of joints with a motor."""
         return len(self.joints)
+
+    @functools.cached_property
+    def coupling(self) -> tuple[Array, Array]:
+        """Matrix (m, dof) and offset (m,) that give the positions of all m joints from root to tip."""
+        matrix, offset = np.eye(self.dof), np.zeros(self.dof)
+        for follower in self.followers:
+            row = follower.ratio * np.eye(self.dof)[self.joints.index(follower.leader)]
+            matrix = np.insert(matrix, follower.place, row, axis=0)
+            offset = np.insert(offset, follower.place, follower.offset)
+        return matrix, offset
+
+    def all_positions(self, q: Array) -> Array:
+        """Return the positions (..., m) of all joints from root to tip, at q (..., dof)."""
+        matrix, offset = self.coupling
+        return np.asarray(q @ matrix.T + offset) if self.followers else q
 
 
 @functools.cache
@@ -204,6 +222,7 @@ def _read_arm(
         notes=notes,
         sliding=source.sliding,
         armature=tuple(armature.tolist()) if armature.any() else (),
+        followers=source.followers,
     )
 
 

@@ -79,7 +79,7 @@ def pairs_worth_testing(
     Excluded are neighbours, pairs within `TOUCHING` at `home`, pairs that are near each other in all configurations (as
     MoveIt's setup assistant finds them, by sampling), and pairs whose joints carry a pair of links in `impossible`.
     """
-    model = pinocchio.buildModelFromXML(urdf)
+    model = pinocchio.buildModelFromXML(urdf, mimic=True)
     geometry = capsule_geometry(model, capsules)
     bodies = (frame for frame in model.frames if frame.type == pinocchio.FrameType.BODY)
     joint_of = {frame.name: frame.parentJoint for frame in bodies} | {FLOOR: None}
@@ -116,7 +116,7 @@ def posture_above_floor(urdf: str, capsules: tuple[Capsule, ...], start: Array, 
     It is the nearest of some random ones, in hundredths of rad, with as many joints as at `start` as possible; None if
     there is none. `pairs` are those at `start`.
     """
-    model = pinocchio.buildModelFromXML(urdf)
+    model = pinocchio.buildModelFromXML(urdf, mimic=True)
     geometry, kinematics = capsule_geometry(model, capsules), model.createData()
     add_collision_pairs(geometry, [*pairs.tested, *((link, FLOOR) for link in pairs.floor_depths)])
     data = geometry.createData()

@@ -19,7 +19,7 @@ def possible_accelerations(urdf: str, highest: float, armature: Array | None = N
     By the joints' effort limits and the mass matrix M of a URDF (`ArmDescription.urdf`) with `armature` (dof,): the
     least, over configurations, of (effort_i - |gravity_i|) / sum_j |M_ij|, rad/s^2.
     """
-    model = pinocchio.buildModelFromXML(urdf)
+    model = pinocchio.buildModelFromXML(urdf, mimic=True)
     accelerations = [
         (model.effortLimit - gravity) / inertia for gravity, inertia in torques_of(model, CONFIGURATIONS, armature)
     ]

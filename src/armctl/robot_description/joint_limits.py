@@ -113,7 +113,7 @@ def assumed_efforts(urdf: str) -> Array:
 
     They are the largest in random configurations, to two digits: N m, or N of joints that slide.
     """
-    model = pinocchio.buildModelFromXML(urdf)
+    model = pinocchio.buildModelFromXML(urdf, mimic=True)
     efforts = np.zeros(model.nv)
     for gravity, inertia in torques_of(model, CONFIGURATIONS):
         efforts = np.maximum(efforts, gravity + ASSUMED_ACCELERATION * inertia)

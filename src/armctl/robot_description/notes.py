@@ -35,7 +35,7 @@ def tell(path: Path, notes: tuple[str, ...]) -> None:
 
 def notes_on_model(urdf: str, tip: str, capsules: tuple[Capsule, ...]) -> list[str]:
     """Return notes about what an arm can do, by its URDF (`ArmDescription.urdf`), end-effector link and capsules."""
-    model = pinocchio.buildModelFromXML(urdf)
+    model = pinocchio.buildModelFromXML(urdf, mimic=True)
     data, frame = model.createData(), link_frame(model, tip)
     low, high = np.maximum(model.lowerPositionLimit, -np.pi), np.minimum(model.upperPositionLimit, np.pi)
     postures = np.random.default_rng(0).uniform(low, high, (POSTURES, model.nq))

@@ -18,6 +18,7 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.robot_description.collision_pairs import FLOOR
 from armctl.robot_description.elements import Elements, end_of
 from armctl.robot_description.file_notes import notes_on_file
+from armctl.robot_description.followers import followers_in, notes_on_followers, with_followers
 from armctl.robot_description.inertia import Inertias, RigidGroup
 from armctl.robot_description.joint_limits import (
     SPEEDS,
@@ -82,22 +83,26 @@ class Urdf:
         self._joints = robot.findall("joint")
         self._check_tree()
         self.tip = tip or self._likely_tip()
-        self._chain = self._movable_chain()
+        self._moving = self._movable_chain()
+        self.followers = followers_in(self._elements, self._moving)
+        """Joints of the chain without a motor."""
+        self._chain = [joint for joint in self._moving if joint.find("mimic") is None]
         self.joints = tuple(joint.get("name", "") for joint in self._chain)
         self._check_axes()
         density = None if overrides.density is None else float(overrides.density[0])
         self._inertias = Inertias(self._elements, self._links, self._rigid_groups(), self._solids, density)
         stated = stated_limits(self._elements, self._chain)
+        stated = with_followers(self._elements, self._moving, self.followers, self.joints, stated)
         self.limits = self._completed(stated)
         """Lower and upper position, velocity and effort limits of the chain's joints, (4, dof): rad, rad/s, N m; of
         joints that slide m, m/s, N."""
         self.notes += [*self._inertias.notes, *notes_on_limits(self._chain, stated, self.limits, overrides)]
-        self.notes += notes_on_file(robot, self._chain)
+        self.notes += [*notes_on_followers(self.followers), *notes_on_file(robot, self._moving)]
 
     @property
     def sliding(self) -> tuple[str, ...]:
         """Names of the chain's joints that slide."""
-        return tuple(joint.get("name", "") for joint in self._chain if joint.get("type") == "prismatic")
+        return tuple(joint.get("name", "") for joint in self._moving if joint.get("type") == "prismatic")
 
     def text(self) -> str:
         """Return the URDF without geometry, with all joints fixed except those of the chain."""
@@ -110,7 +115,7 @@ class Urdf:
             if (inertial := self._inertias.element(name)) is not None:
                 copy.append(inertial)
         for joint in self._joints:
-            movable = joint in self._chain
+            movable = joint in self._moving
             kind = TYPES[joint.get("type", "")] if movable else "fixed"
             copy = ElementTree.SubElement(bare, "joint", {"name": joint.get("name", ""), "type": kind})
             self._copy_numbers(joint, copy, f"joint {joint.get('name')!r}", "origin", xyz="0 0 0", rpy="0 0 0")
@@ -118,10 +123,24 @@ class Urdf:
                 ElementTree.SubElement(copy, end, {"link": end_of(joint, end)})
             if movable:
                 self._copy_numbers(joint, copy, f"joint {joint.get('name')!r}", "axis", xyz="1 0 0")
-                numbers = limits[:, self._chain.index(joint)].tolist()
+                numbers = self._limits_of(joint, limits)
                 named = zip(("lower", "upper", "velocity", "effort"), numbers, strict=True)
                 ElementTree.SubElement(copy, "limit", {name: repr(value) for name, value in named})
+            for follower in self.followers:
+                if follower.joint == joint.get("name"):
+                    words = {"multiplier": repr(follower.ratio), "offset": repr(follower.offset)}
+                    ElementTree.SubElement(copy, "mimic", {"joint": follower.leader, **words})
         return ElementTree.tostring(bare, encoding="unicode")
+
+    def _limits_of(self, joint: Element, limits: Array) -> list[float]:
+        """Return the limits of a joint by those (4, dof) of the chain; of a follower, those that its leader's imply."""
+        name = joint.get("name", "")
+        follower = next((each for each in self.followers if each.joint == name), None)
+        if follower is None:
+            return [float(number) for number in limits[:, self._chain.index(joint)]]
+        lower, upper, velocity, effort = limits[:, self.joints.index(follower.leader)].tolist()
+        ends = sorted(follower.ratio * end + follower.offset for end in (lower, upper))
+        return [*ends, velocity * abs(follower.ratio), effort / abs(follower.ratio)]
 
     @functools.cached_property
     def shapes(self) -> tuple[Shape, ...]:
@@ -247,11 +266,6 @@ class Urdf:
             raise unknown_name(f"link of {self.path.name} called", self.tip, self._links)
         chain = self._joints_above(self.tip)
         for joint in chain:
-            if (mimic := joint.find("mimic")) is not None:
-                raise self._error(
-                    f"joint {joint.get('name')!r} between root and tip mimics {short(mimic.get('joint', ''))}, and "
-                    "armctl has a motor for each joint: choose a tip before it, or make it fixed"
-                )
             if joint.get("type") not in TYPES:
                 raise self._error(
                     f"joint {joint.get('name')!r} is {joint.get('type')}; joints should be revolute, "
@@ -262,7 +276,7 @@ class Urdf:
         return chain
 
     def _check_axes(self) -> None:
-        for joint in self._chain:
+        for joint in self._moving:
             name, axis = joint.get("name"), joint.find("axis")
             if axis is not None:
                 length = np.linalg.norm(self._elements.numbers(axis, "xyz", f"axis of joint {name!r}", 3, "1 0 0"))
@@ -275,11 +289,11 @@ class Urdf:
         (root,) = self._links.keys() - children
         groups = [RigidGroup(None, {root: pinocchio.SE3.Identity()})]
         groups += [
-            RigidGroup(joint.get("name"), {end_of(joint, "child"): pinocchio.SE3.Identity()}) for joint in self._chain
+            RigidGroup(joint.get("name"), {end_of(joint, "child"): pinocchio.SE3.Identity()}) for joint in self._moving
         ]
         below: dict[str, list[Element]] = {}
         for joint in self._joints:
-            if joint not in self._chain:
+            if joint not in self._moving:
                 below.setdefault(end_of(joint, "parent"), []).append(joint)
         for group in groups:
             for link in (reached := list(group.links)):

@@ -67,8 +67,9 @@ class Arm:
         self.description = description
         self.control = control
         self.period = period
-        self.joint_positions = simulation.array("qpos")
-        self.joint_velocities = simulation.array("qvel")
+        self._positions, self._velocities = simulation.array("qpos"), simulation.array("qvel")
+        joints = [simulation.model.joint(PREFIX + name) for name in description.joints]
+        self._columns = np.array([joint.qposadr[0] for joint in joints], dtype=np.intp)
         self.end_effector_positions = simulation.array("xpos")[:, simulation.model.body(PREFIX + description.tip).id]
         """(n, 3) m, a live view."""
         self._ctrl = simulation.array("ctrl")
@@ -78,9 +79,10 @@ class Arm:
         limits = description.limits
         driven = limits.drives[:0] if control == "torque" else limits.drives
         to_positions = control in ("position", "relative")
-        self.drives = Drives(driven, np.zeros((simulation.n, dof)), to_positions, FOLLOWING_ERROR)
+        self.drives = Drives(driven, np.zeros((simulation.n, dof)), to_positions, FOLLOWING_ERROR, self._columns)
         actuators = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
-        self.joints = JointSamples(simulation, slice(dof), actuators, round(period / TICK), period)
+        motors = self._columns if description.followers else slice(dof)
+        self.joints = JointSamples(simulation, motors, actuators, round(period / TICK), period)
         move = np.full(dof, LARGEST_RELATIVE_MOVE)
         bounds = {
             "position": (limits.lower, limits.upper),
@@ -90,6 +92,16 @@ class Arm:
             "torque": (-limits.effort, limits.effort),
         }
         self.action_low, self.action_high = bounds[control]
+
+    @property
+    def joint_positions(self) -> Array:
+        """Positions (n, dof) of the joints that have a motor, rad; a live view unless others follow them."""
+        return self._positions[:, self._columns] if self.description.followers else self._positions
+
+    @property
+    def joint_velocities(self) -> Array:
+        """The same for their velocities, rad/s."""
+        return self._velocities[:, self._columns] if self.description.followers else self._velocities
 
     @property
     def commands(self) -> Array:
@@ -168,17 +180,22 @@ def _compiled(
         joint.actfrclimited = True
         joint.actfrcrange = [-effort, effort]
         joint.solref_limit, joint.solimp_limit = HARD
+    for follower in description.followers:
+        spec.joint(PREFIX + follower.joint).limited = mujoco.mjtLimited.mjLIMITED_FALSE  # its leader has limits
+    for equality in spec.equalities:
+        equality.solref, equality.solimp = HARD
     for name, armature in zip(description.joints, description.armature, strict=False):
         spec.joint(PREFIX + name).armature = armature
     add_impact_sensors(spec, speed_limits(description), round(TICK / spec.option.timestep))
     if furnish is not None:
         furnish(spec, description)
+    home = description.all_positions(description.home)
     if control == "torque":
         _add_motors(spec, description)
-        spec.add_key(name="home", qpos=description.home)
+        spec.add_key(name="home", qpos=home)
     else:
         _add_servos(spec, description, _joint_inertia(spec.compile(), description))
-        spec.add_key(name="home", qpos=description.home, act=description.home)
+        spec.add_key(name="home", qpos=home, act=description.home)
     return spec.compile()
 
 
@@ -283,11 +300,11 @@ def _joint_inertia(model: mujoco.MjModel, description: ArmDescription) -> Array:
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     mass = np.zeros((model.nv, model.nv))
-    largest = np.zeros(model.nv)
+    coupling, largest = description.coupling[0], np.zeros(description.dof)
     sliding, limits = [name in description.sliding for name in description.joints], description.limits
-    for q in rng.uniform(-np.pi, np.pi, (200, model.nv)):
-        data.qpos[:] = np.where(sliding, np.clip(q, limits.lower, limits.upper), q)
+    for q in rng.uniform(-np.pi, np.pi, (200, description.dof)):
+        data.qpos[:] = description.all_positions(np.where(sliding, np.clip(q, limits.lower, limits.upper), q))
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
-        largest = np.maximum(largest, np.diag(mass))
+        largest = np.maximum(largest, np.diag(coupling.T @ mass @ coupling))
     return largest

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.kernels.control_step import Samples
@@ -28,10 +29,14 @@ class JointSamples:
     """
 
     def __init__(
-        self, simulation: Simulation, dofs: slice, limits: ActuatorLimits, samples: int, period: float
+        self,
+        simulation: Simulation,
+        dofs: slice | NDArray[np.intp],
+        limits: ActuatorLimits,
+        samples: int,
+        period: float,
     ) -> None:
-        self.speeds = simulation.array("qvel")[:, dofs]
-        """Present joint speeds, (n, k) rad/s, a live view."""
+        self._velocities, self._dofs = simulation.array("qvel"), dofs
         self.limits = limits
         self.interval = period / samples
         """s: time between two samples"""
@@ -39,6 +44,11 @@ class JointSamples:
         columns = np.arange(simulation.model.nv, dtype=np.intp)[dofs]
         self.part = Samples(columns, *self._samples)
         """What `Simulation.control_step` fills."""
+
+    @property
+    def speeds(self) -> Array:
+        """Present joint speeds, (n, k) rad/s."""
+        return self._velocities[:, self._dofs]
 
     def since_last_step(self) -> Array:
         """Return joint speeds (rad/s) and motor torques at the joints (N m), (2, samples, n, k)."""

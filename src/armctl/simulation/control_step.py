@@ -38,7 +38,7 @@ _NONE = np.zeros(0, dtype=np.intp)
 SHARES = 4
 """Shares of the worlds for each thread: threads that finish sooner take more."""
 NO_PARTS = Parts(
-    Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0),
+    Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0, _NONE),
     Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0))),
     TargetQuery(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)), np.zeros((0, 0, 3))),
     ContactOutput(_NONE.reshape(0, 0), _NONE.reshape(0, 0), np.zeros((0, 0), dtype=bool)),
