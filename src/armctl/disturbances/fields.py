@@ -84,7 +84,7 @@ class JointFriction(FieldDisturbance):
 
     def __init__(self, task: Disturbable, level: float) -> None:
         assert task.joints is not None
-        self._dofs = task.joints.part.dofs
+        self._dofs = task.joints.part.dofs.tolist()
         super().__init__(task, level, {"dof_frictionloss": self._dofs, "dof_solimp": self._dofs})
 
     def apply(self, ids: NDArray[np.int32]) -> None:

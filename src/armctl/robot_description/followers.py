@@ -26,7 +26,7 @@ class Follower:
     offset: float
     """rad, or m."""
     place: int
-    """Among all joints from root to tip: 0 is the first."""
+    """Index among all joints from root to tip."""
 
     def ahead(self, positions: Array) -> Array:
         """Return positions of the leader for those of the follower."""
