@@ -29,7 +29,7 @@ SAFE_CONTROL = (
     *("pybullet==3.2.7", "numpy", "scipy", "casadi==3.8.2", "munch", "pyyaml", "dict-deep", "gymnasium==0.28.1"),
     *("termcolor", "matplotlib", "imageio", "torch==2.13.0"),
 )
-"""What the quadrotor, LQR and MPC import of the packages that safe-control-gym requires."""
+"""Packages that the quadrotor, LQR and MPC import, of those that safe-control-gym requires."""
 SOURCE = "git+https://github.com/utiasDSL/safe-control-gym@e39a5692a2989567b922f3033e50b49242896864"
 TASKS = {"reach": "reach-v3", "push": "push-v3"}
 SECONDS = 60.0

@@ -46,7 +46,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Sample:
-    """What was commanded and what the arm did, at the end of a cycle."""
+    """Command and motion of the arm at the end of a cycle."""
 
     time: float
     command: Any

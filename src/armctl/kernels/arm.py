@@ -35,13 +35,16 @@ JOINT = np.dtype(
 @compiled
 def forward(joints, q, rotations, origins):
     """Compute the frames of all joints at q (dof,)."""
-    turn, offset = np.empty((3, 3)), np.empty(3)
+    turn = np.empty((3, 3))
     for k in range(len(joints)):
         joint = joints[k]
         angle = joint.ratio * q[joint.motor] + joint.shift
         sine, versine = math.sin(angle), 1 - math.cos(angle)
-        for i in range(3):
-            offset[i] = joint.offset[i] + angle * joint.slide[i] if joint.slides else joint.offset[i]
+        offset = (
+            joint.offset[0] + angle * joint.slide[0],
+            joint.offset[1] + angle * joint.slide[1],
+            joint.offset[2] + angle * joint.slide[2],
+        )
         for i in range(3):
             for j in range(3):
                 turn[i, j] = joint.base[i, j] + sine * joint.sine[i, j] + versine * joint.versine[i, j]
@@ -95,28 +98,25 @@ def axes_of(joints, rotations, axes):
 
 
 @compiled
-def gradient_of(joint, axis, origin, point, out):
-    """Compute the motion (3,) of a point by a joint, m/rad: axis x (point - origin), or axis if the joint slides."""
+def gradient_of(joint, axis, origin, point):
+    """Return the motion of a point by a joint, m/rad: axis x (point - origin), or axis if the joint slides."""
     if joint.slides:
-        for i in range(3):
-            out[i] = axis[i]
-    else:
-        lever = np.empty(3)
-        for i in range(3):
-            lever[i] = point[i] - origin[i]
-        cross(axis, lever, out)
+        return axis[0], axis[1], axis[2]
+    x, y, z = point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
+    return axis[1] * z - axis[2] * y, axis[2] * x - axis[0] * z, axis[0] * y - axis[1] * x
 
 
 @compiled
 def gradients_of(joints, axes, origins, point, out):
     """Compute the motion (dof, 3) of a point of the last link by each motor, m/rad."""
-    moved = np.empty(3)
-    out[:] = 0.0
+    for i in range(len(out)):
+        out[i, 0] = out[i, 1] = out[i, 2] = 0.0
     for k in range(len(joints)):
         joint = joints[k]
-        gradient_of(joint, axes[k], origins[k], point, moved)
-        for i in range(3):
-            out[joint.motor, i] += joint.ratio * moved[i]
+        x, y, z = gradient_of(joint, axes[k], origins[k], point)
+        out[joint.motor, 0] += joint.ratio * x
+        out[joint.motor, 1] += joint.ratio * y
+        out[joint.motor, 2] += joint.ratio * z
 
 
 @compiled

@@ -107,10 +107,10 @@ def measure(links, pairs, boxes, samples, scales, ends, out):
 @compiled
 def add_motion(chain, joint, point, normal, sign, row):
     """Add to `row` (dof,) how fast joints move a point (3,) of the frame of `joint` along a normal (3,), m/rad."""
-    moved, (joints, axes, origins) = np.empty(3), chain
+    joints, axes, origins = chain
     for k in range(joint):
-        gradient_of(joints[k], axes[k], origins[k], point, moved)
-        along = normal[0] * moved[0] + normal[1] * moved[1] + normal[2] * moved[2]
+        x, y, z = gradient_of(joints[k], axes[k], origins[k], point)
+        along = normal[0] * x + normal[1] * y + normal[2] * z
         row[joints[k].motor] += joints[k].ratio * sign * along
 
 
