@@ -1,6 +1,6 @@
 """Experts on arms that armctl was not made for, with and without boxes: no constant of an expert is for one arm.
 
-    python benchmarks/arms.py [--episodes 24] [--seed 0] [--policy reach_mpc] [--arm UR5e] [--cache arms]
+    python benchmarks/arms.py [--episodes 24] [--seed 0] [--policy reach_mpc] [--arm UR5e] [--cache arms] [--workers 2]
 
 Arms are the named ones, the same as files, and the files of `arms.csv`: without a wheel they are example-robot-data's;
 the others are in wheels that pip downloads, by their checksums in `arms_wheels.txt`. A URDF says nothing of pairs of
@@ -19,11 +19,12 @@ import subprocess
 import sys
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import joblib
 import numpy as np
 import typer
 from printing import markdown_table, progress, show
@@ -143,15 +144,29 @@ def cells(options: dict[str, Any], columns: Iterable[tuple[str, str]], episodes:
         yield str(int(results.success.sum()))
 
 
+def played(
+    arm: Arm, cache: Path, columns: Sequence[tuple[str, str]], episodes: int, seed: int
+) -> tuple[str, ...] | str:
+    """Return an arm's row of the table, or why it cannot be played."""
+    warnings.simplefilter("ignore", UserWarning)
+    try:
+        options = arm.options(cache)
+        robot = load_arm(**options)
+        repairs = ", ".join(word for text, word in REPAIRS.items() if any(text in note for note in robot.notes))
+        return arm.kind, str(robot.dof), repairs, *cells(options, columns, episodes, seed)
+    except ArmctlError as error:
+        return str(error)
+
+
 def main(
     episodes: int = 24,
     seed: int = 0,
     policy: Annotated[list[str] | None, typer.Option()] = None,
     arm: Annotated[list[str] | None, typer.Option()] = None,
     cache: Path = FOLDER.parent / "results" / "arms",
+    workers: int = 2,
 ) -> None:
     """Play, and print how many episodes are won on each arm."""
-    warnings.simplefilter("ignore", UserWarning)
     chosen = [each for each in arms() if not arm or each.name in arm]
     if any(each.wheel for each in chosen):
         cache.mkdir(parents=True, exist_ok=True)
@@ -161,17 +176,16 @@ def main(
     table = markdown_table(f"episodes won of {episodes}", "file", "joints", "repaired", *heads)
     refused = markdown_table("arm", "cannot be played")
     totals = np.zeros(len(columns), int)
-    for each in progress(chosen):
-        try:
-            options = each.options(cache)
-            robot = load_arm(**options)
-            repairs = ", ".join(word for text, word in REPAIRS.items() if any(text in note for note in robot.notes))
-            row = list(cells(options, columns, episodes, seed))
-        except ArmctlError as error:
-            refused.add_row(each.name, str(error))
-            continue
-        totals += np.array(row, int)
-        table.add_row(each.name, each.kind, str(robot.dof), repairs, *row)
+    play = joblib.delayed(played)
+    rows = joblib.Parallel(workers, return_as="generator")(
+        play(each, cache, columns, episodes, seed) for each in chosen
+    )
+    for each, row in zip(progress(chosen), rows, strict=True):
+        if isinstance(row, str):
+            refused.add_row(each.name, row)
+        else:
+            totals += np.array(row[-len(columns) :], int)
+            table.add_row(each.name, *row)
     shares = totals / max(1, episodes * len(table.rows))
     table.add_row("all", "", "", "", *(f"{share:.1%}" for share in shares))
     show(table)
