@@ -43,8 +43,8 @@ class BatchSteps:
             for i in going:
                 drive_joints(
                     drives.joints, drives.setpoints[i] if len(drives.joints) else np.zeros(0), drives.to_positions,
-                    fields["qpos"][i], fields["act"][i], fields["ctrl"][i], drives.following_error,
-                    substeps * self.batch.model.opt.timestep,
+                    fields["qpos"][i][drives.columns[: len(drives.joints)]], fields["act"][i], fields["ctrl"][i],
+                    drives.following_error, substeps * self.batch.model.opt.timestep,
                 )  # fmt: skip
             start = fields["time"].copy()
             self.tick(substeps, going)
