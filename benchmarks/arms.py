@@ -144,7 +144,7 @@ def cells(options: dict[str, Any], columns: Iterable[tuple[str, str]], episodes:
         yield str(int(results.success.sum()))
 
 
-def played(
+def row_of(
     arm: Arm, cache: Path, columns: Sequence[tuple[str, str]], episodes: int, seed: int
 ) -> tuple[str, ...] | str:
     """Return an arm's row of the table, or why it cannot be played."""
@@ -176,7 +176,7 @@ def main(
     table = markdown_table(f"episodes won of {episodes}", "file", "joints", "repaired", *heads)
     refused = markdown_table("arm", "cannot be played")
     totals = np.zeros(len(columns), int)
-    play = joblib.delayed(played)
+    play = joblib.delayed(row_of)
     rows = joblib.Parallel(workers, return_as="generator")(
         play(each, cache, columns, episodes, seed) for each in chosen
     )
