@@ -107,7 +107,7 @@ def test_a_controller_of_a_real_arm_loads_no_simulator_and_gymnasium_knows_the_e
     seconds, modules, *packages = done.stdout.split("\n")[0].split()
     assert not packages
     assert int(modules) < 750
-    assert float(seconds) < 1.0, "on a busy core"
+    assert float(seconds) < 2.0, "on a busy core"
     assert done.stdout.split("\n")[1:3] == ["", "True"]
 
 

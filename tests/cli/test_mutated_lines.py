@@ -236,7 +236,7 @@ def changed_lines(run, verb, count):
 @pytest.mark.one_case
 @pytest.mark.parametrize("verb", LINES)
 def test_a_valid_line_is_mostly_fine(run, verb):
-    valid_lines(run, verb, 2 if verb in SLOW else 3)
+    valid_lines(run, verb, 3)
 
 
 @pytest.mark.one_case

@@ -1,5 +1,6 @@
 """Interfaces that policies declare: each plays with its own, whoever it meets, and a wrong one is one clear error."""
 
+import importlib
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -118,6 +119,8 @@ def test_what_the_source_does_not_say_is_refused_once_it_is_known(tmp_path):
 
 def test_the_interface_is_read_before_any_code_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "mine", raising=False)  # of another test
+    importlib.invalidate_caches()
     mine(tmp_path, before="raise SystemExit\n")
     (tmp_path / "package").mkdir()
     (tmp_path / "package" / "__init__.py").write_text("raise SystemExit")

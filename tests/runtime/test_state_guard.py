@@ -57,8 +57,8 @@ def moves_boxes(env):
 
 CHEATS = [
     (REACH, writes("task._targets"), "simulation.state|task._targets"),
-    (REACH, writes("task.arm.joint_positions"), "task.arm.joint_positions"),
-    (REACH, writes("task.arm.joint_velocities", when="reset"), "task.arm.joint_velocities"),
+    (REACH, writes("task.arm.joint_positions"), "task.state.joint_positions"),
+    (REACH, writes("task.arm.joint_velocities", when="reset"), "task.arm._velocities"),
     (REACH, writes("task.state.distance", value=9.0), "task.state.distance"),
     (REACH, writes("_steps", value=0), "env._steps"),
     (REACH, writes("_episodes", value=3), "env._episodes"),
