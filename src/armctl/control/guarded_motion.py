@@ -97,11 +97,12 @@ class GuardedMotion:
         is_clear = (self._clearance.min_distances(q) >= self.margin).all()
         if not (inside.all() and is_clear and (self.margin < 0 or self.model.are_free(q).all())):
             return False
-        if self.workspace is None:
-            return True
-        low, high = self.workspace
-        tips = self.model.positions(q)
-        return bool(((tips >= low) & (tips <= high)).all())
+        return self.workspace is None or self.is_in_workspace(self.model.positions(q))
+
+    def is_in_workspace(self, points: Array) -> bool:
+        """Return True if the end-effector may be at all of these points (..., 3) m, as far as the workspace goes."""
+        low, high = self.workspace or (-np.inf, np.inf)
+        return bool(((points >= low) & (points <= high)).all())
 
     def preview(self, state: tuple[Array, Array, Array], goal: Array) -> Array:
         """Return the positions (m, dof) of the whole motion from a state to rest at `goal` (dof,), near each other."""

@@ -214,10 +214,8 @@ class ReachController:
         if goal is None:
             self._motion.brake()
         elif not self._motion.towards(goal):
-            goal, reason = (
-                None,
-                "the motion is no longer safe: the arm would leave its limits or come too near to something",
-            )
+            goal = None
+            reason = "the motion is no longer safe: the arm would leave its limits or come too near to something"
             self._refused, self._plan, self._retry = reason, None, self._ticks + round(PATIENCE / self.period)
         self._watchdog.commanded(self._motion.state[0])
         return SetPoint(*self._motion.state, *self._state(goal, reason, target))
@@ -310,9 +308,7 @@ class ReachController:
     def _choose(self, state: tuple[Array, Array, Array], point: Array) -> _Plan:
         """Return the earliest safe motion from a state to a target, one of some configurations there."""
         start, guard = state[0], self._preview
-        if guard.workspace is not None and not bool(
-            np.all((point >= guard.workspace[0]) & (point <= guard.workspace[1]))
-        ):
+        if not guard.is_in_workspace(point):
             return _Plan(point, None, "the target is outside the workspace")
         choices: list[Any] = [
             lambda: self._search.at_centre(start, point),

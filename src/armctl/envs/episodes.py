@@ -54,8 +54,8 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Remarks on what these worlds have returned so far, in order."""
         self.on_begin: list[Callable[[NDArray[np.int32]], None]] = []
         """Called with the indices of worlds that have begun a new episode."""
-        self.clocks: list[NDArray[np.int64]] = []
-        """Arrays (n,) that are told the control steps of each world's current episode."""
+        self.clock: NDArray[np.int64] = np.zeros(num_envs, dtype=np.int64)
+        """(n,) a copy of the control steps of each world's current episode, for policies: nothing else reads it."""
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -213,11 +213,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._begin(worlds)
         for callback in self.on_begin:
             callback(worlds)
-        self._tell_clocks()
-
-    def _tell_clocks(self) -> None:
-        for clock in self.clocks:
-            clock[:] = self._steps
+        self.clock[:] = self._steps
 
     def _disturbed_commands(self, commands: Any) -> Any:
         for disturbance in self.disturbances.values():

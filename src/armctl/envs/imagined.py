@@ -92,12 +92,12 @@ def planning_model(
         raise ConfigurationError(f"a model to plan in has actions of a box, not of {space}")
     substeps = getattr(env, "frame_skip", None)
     period = control_period or (substeps or 1) * model.opt.timestep
-    without = PlanningModel(copy.copy(model), period, (space.low, space.high), None)
+    bare = PlanningModel(copy.copy(model), period, (space.low, space.high), None)
     if not isinstance(substeps, int) or space != env.action_space or space.shape != (model.nu,):
-        return without
+        return bare
     connect = functools.partial(motor_worlds, substeps=substeps, dtype=str(space.dtype))
-    connected = PlanningModel(copy.copy(model), period, (space.low, space.high), connect)
-    return connected if _steps_alike(env, connected) else without
+    with_rollouts = PlanningModel(copy.copy(model), period, (space.low, space.high), connect)
+    return with_rollouts if _steps_alike(env, with_rollouts) else bare
 
 
 def _steps_alike(env: gymnasium.Env[Any, Any], model: PlanningModel) -> bool:

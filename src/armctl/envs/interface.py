@@ -192,7 +192,6 @@ def interface_of(
 
     begin(np.flatnonzero(worlds.episodes >= 0))
     worlds.on_begin.append(begin)
-    worlds.clocks.append(steps := np.zeros(worlds.num_envs, dtype=np.int64))
     more: dict[str, Any] = {}
     if issubclass(kind, ModelInterface):
         more = {"robot": copy.deepcopy(task.robot), "options": copy.deepcopy(getattr(task, "options", None))}
@@ -209,7 +208,7 @@ def interface_of(
         normalized=worlds.normalized,
         foresight=foresight,
         _episodes=episodes,
-        _steps=steps,
+        _steps=worlds.clock,
         _model=worlds.preview("simulator") if "simulator" in foresight else None,
         _values=interface_values(worlds),
         **more,

@@ -3,7 +3,6 @@
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
 
@@ -86,8 +85,7 @@ class OneWorld:
         self.task, self.spec, self.max_episode_steps = worlds.task, worlds.spec, worlds.max_episode_steps
         self.control_period, self.idle_action = worlds.control_period, worlds.idle_action
         self.perceived, self.model = worlds.perceived, worlds.model
-        self._preview, self._steps = worlds.preview, np.zeros(worlds.num_envs, dtype=np.int64)
-        worlds.clocks.append(self._steps)
+        self._preview, self._steps = worlds.preview, worlds.clock
 
     @property
     def unwrapped(self) -> "OneWorld":

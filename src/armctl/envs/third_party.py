@@ -147,7 +147,7 @@ class ThirdPartyVectorEnv(EpisodeVectorEnv):
                 success[i] = self._successes.success(int(i), info)
                 ending = "success" if success[i] else "terminated" if terminated[i] else "truncated"
                 outcome[i] = self.outcomes.index(ending)
-        self._tell_clocks()
+        self.clock[:] = self._steps
         self._finished |= terminated | truncated
         infos: Infos = {"is_success": success, "outcome_id": outcome, "reward_terms": terms}
         return self._observe(), rewards, terminated, truncated, infos

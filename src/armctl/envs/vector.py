@@ -24,7 +24,7 @@ from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.envs.outcomes import ERROR, UNSTABLE
 from armctl.envs.pickling import MadeAgain
-from armctl.simulation.planning_model import PlanningModel
+from armctl.simulation.planning_model import PlanningModel, rescaled
 from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import Observations, RewardTerms, Task
 
@@ -155,7 +155,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self.task.command(commands)
         self.task.advance(awake)
         self._steps += 1
-        self._tell_clocks()
+        self.clock[:] = self._steps
         terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int64)
         if self.task.simulation.any_unstable:
             unstable = self.task.simulation.unstable
@@ -247,7 +247,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         """Return actions in the task's units."""
         if not self.normalized:
             return actions
-        return np.asarray(self._lowest + (np.clip(actions, -1, 1) + 1) / 2 * (self._highest - self._lowest))
+        return rescaled(actions, self._lowest, self._highest)
 
     def _begin(self, ids: NDArray[np.int32]) -> None:
         numbers = zip(self._seeds[ids].tolist(), self._episodes[ids].tolist(), strict=True)

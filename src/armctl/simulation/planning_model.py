@@ -45,6 +45,11 @@ class Motion:
     """(n,) worlds whose numbers became infinite: they stand still from then on."""
 
 
+def rescaled(actions: Array, lowest: Array, highest: Array) -> Array:
+    """Return normalized actions, clipped to -1 and 1, in the units of these bounds."""
+    return np.asarray(lowest + (np.clip(actions, -1, 1) + 1) / 2 * (highest - lowest))
+
+
 def motor_worlds(
     model: mujoco.MjModel,
     n: int,
@@ -168,7 +173,4 @@ class PlanningModel:
 
     def _physical(self, actions: Array) -> Array:
         """Return actions in the task's units."""
-        if self._units is None:
-            return actions
-        lowest, highest = (np.asarray(bound, dtype=float) for bound in self._units)
-        return np.asarray(lowest + (np.clip(actions, -1, 1) + 1) / 2 * (highest - lowest))
+        return actions if self._units is None else rescaled(actions, *map(np.asarray, self._units))
