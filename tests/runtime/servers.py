@@ -21,6 +21,10 @@ class Processes:
         self.started.append(one)
         return one
 
+    def output(self):
+        """The last lines that the servers have printed."""
+        return "\n".join(file.read_text()[-1000:] for file in sorted(self.folder.glob("log*")))
+
     def kill(self, one):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(one.pid, signal.SIGKILL)

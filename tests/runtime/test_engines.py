@@ -46,8 +46,7 @@ def holding(observation):
 
 @pytest.fixture(autouse=True)
 def mine(tmp_path, monkeypatch):
-    """A working directory with a policy in a file, which imports another; and Ray asks nobody for a token."""
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    """A working directory with a policy in a file, which imports another."""
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "helpers_of_mine.py").write_text("def still(observation):\n    return observation[3:9]\n")
     monkeypatch.chdir(tmp_path)
@@ -65,11 +64,12 @@ def free_port():
         return one.getsockname()[1]
 
 
-def until(ready, what):
+def until(ready, what, seconds=600):
     """Wait for a server: on a busy machine the imports of Ray's head alone take minutes."""
-    deadline = time.monotonic() + 600
+    deadline = time.monotonic() + seconds
     while not ready():
-        assert time.monotonic() < deadline, what
+        if time.monotonic() >= deadline:
+            raise TimeoutError(f"{what} did not answer in {seconds} s")
         time.sleep(0.2)
 
 
@@ -82,24 +82,36 @@ def answers(port):
 def ray_head(tmp_path_factory):
     """The port of a node of Ray with a core, to which others can come, and the address for clients.
 
-    One head at a time, of all pytest's workers: two on one machine give their clients the same ports (from 23000).
+    One head at a time, of all pytest's workers: two on one machine give their clients the same ports (from 23000). A
+    head that does not answer is replaced, twice.
     """
-    port, client = free_port(), 9000 + free_port() % 900
-    nodes = ["--head", "--node-ip-address=127.0.0.1", f"--port={port}", f"--ray-client-server-port={client}"]
-    with (
-        filelock.FileLock(tmp_path_factory.getbasetemp().parent / "ray.lock"),
-        tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder,  # sockets' paths are short
-        servers(tmp_path_factory.mktemp("head")) as started,
-    ):
-        start_ray(started, *nodes, "--include-dashboard=false", f"--temp-dir={folder}")
-        yield port, f"ray://127.0.0.1:{client}"
+    with filelock.FileLock(tmp_path_factory.getbasetemp().parent / "ray.lock"), pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_AUTH_MODE", "disabled")  # Ray asks nobody for a token
+        for attempt in range(3):
+            with servers(tmp_path_factory.mktemp("head")) as started, short_folder() as folder:
+                port, client = free_port(), 9000 + free_port() % 900
+                here = ["--node-ip-address=127.0.0.1", f"--port={port}", f"--ray-client-server-port={client}"]
+                start_ray(started, "--head", *here, "--include-dashboard=false", f"--temp-dir={folder}")
+                try:
+                    until(lambda client=client: answers(client), "Ray's head", seconds=200)
+                    until(lambda client=client: _workers(f"ray://127.0.0.1:{client}") == 1, "Ray's client", seconds=200)
+                except TimeoutError as error:
+                    if attempt == 2:
+                        raise RuntimeError(f"{error}: {started.output()}") from error
+                    continue
+                yield port, f"ray://127.0.0.1:{client}"
+                return
+
+
+def short_folder():
+    """A folder with a path that leaves room for the names of Ray's sockets."""
+    return tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True)
 
 
 @pytest.fixture
 def ray_cluster(ray_head, processes):
     """The address of a cluster of two nodes, each with a core, and the second node's process."""
     port, address = ray_head
-    until(lambda: _workers(address) == 1, "Ray's head")
     node = start_ray(processes, f"--address=127.0.0.1:{port}")
     with connect(address) as engine:  # once: for each client, Ray starts an interpreter
         until(lambda: engine.count() == 2, "Ray's second node")  # type: ignore[attr-defined]
@@ -109,7 +121,8 @@ def ray_cluster(ray_head, processes):
 def start_ray(processes, *options):
     common = ["--num-cpus=1", "--block", "--disable-usage-stats"]
     quiet = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
-    return processes.start(BIN / "ray", "start", *options, *common, environment=quiet)
+    patient = dict.fromkeys(("RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S", "TIMEOUT_FOR_SPECIFIC_SERVER_S"), "200")
+    return processes.start(BIN / "ray", "start", *options, *common, environment=quiet | patient)
 
 
 def _workers(address):
