@@ -5,6 +5,9 @@
 
 A policy is its logarithmic odds of success in the unit box. CMA-ES plays 20 episodes at each point, and minimises the
 distance of points with at most half of these won; of the others, success.
+
+The interval of a search's distance is counted as right where it has the distance at which success truly falls to one
+half on its line; "above" counts searches whose upper limit is at least the distance of the mildest failure anywhere.
 """
 
 import importlib
@@ -18,8 +21,11 @@ from numpy.typing import NDArray
 from printing import progress, show, versioned_table
 
 from armctl.core.arrays import Array
+from armctl.stats.failure_line import SCALES, failure_distance, line_through
 from armctl.stats.failure_surface import fitted_surface, round_box, round_sizes
 
+JUDGING = 100
+"""Episodes at each point of a line."""
 BLOCK = 20
 """Episodes of CMA-ES at each point."""
 WEIGHTS = np.array([1.0, 0.6, 0.3, 0.2, 0.1])
@@ -58,6 +64,23 @@ def surface_search(odds: Odds, dimension: int, budget: int, rng: np.random.Gener
         point = fitted_surface(points, success).mildest({})
         center = np.ones(dimension) if point is None else point
     return point
+
+
+def judged(odds: Odds, points: Sequence[Point], dimension: int, nearest: float) -> tuple[str, str]:
+    """Return how many intervals have the truth on their line, and how many reach the nearest failure anywhere."""
+    rng, right, above = np.random.default_rng(8), 0, 0
+    for point in points:
+        line = line_through(np.ones(dimension) if point is None else point)
+        distances = np.linalg.norm(line, axis=1)
+        won = rng.binomial(JUDGING, scipy.special.expit(odds(line)))
+        distance = failure_distance(distances, won, [JUDGING] * len(line))
+        low, high = distance.bounds
+        path = (np.linspace(0, SCALES[-1] / SCALES[0], 5000)[:, None] * line[0]).clip(max=1.0)
+        fails = (odds(path) <= 0) & (path <= line[-1]).all(axis=1)
+        truth = float(np.linalg.norm(path[fails.argmax()])) if fails.any() else np.inf
+        right += low <= truth <= high
+        above += high >= nearest
+    return f"{right} of {len(points)}", f"{above} of {len(points)}"
 
 
 def cma_search(odds: Odds, dimension: int, budget: int, rng: np.random.Generator) -> Point:
@@ -109,14 +132,17 @@ def main(
     """Search the mildest failures of simulated policies."""
     methods = {"surface": surface_search} | ({"CMA-ES": cma_search} if cma_es else {})
     headings = [f"{name}: {column}" for name in methods for column in ("distance", "true success there, %")]
-    table = versioned_table("disturbances", "policy", "true distance", *headings)
+    table = versioned_table("disturbances", "policy", "true distance", *headings, "interval right", "above")
     for dimension in progress((2, 3, 5)):
         for name, odds in policies(dimension).items():
             cells: list[str] = []
+            nearest, searches = true_distance(odds, dimension), list[Sequence[Point]]()
             for search in methods.values():
                 points = [search(odds, dimension, budget, np.random.default_rng([run, 7])) for run in range(runs)]
+                searches.append(points)
                 cells += described(odds, points)
-            table.add_row(str(dimension), name, f"{true_distance(odds, dimension):.2f}", *cells)
+            cells += judged(odds, searches[0], dimension, nearest)
+            table.add_row(str(dimension), name, f"{nearest:.2f}", *cells)
     show(table)
 
 

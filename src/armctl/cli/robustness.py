@@ -134,7 +134,9 @@ class WorstCaseRequest:
         ),
     ] = None
     budget: Annotated[int, typer.Option(help="Episodes of the search, for every policy: at least 50.")] = 300
-    episodes: Annotated[int, typer.Option(min=1, help="New episodes that judge the result of each search.")] = 200
+    episodes: Annotated[
+        int, typer.Option(min=1, help="New episodes at each of up to seven points that judge a search.")
+    ] = 100
     seed: Seed = 0
     judge_seed: Annotated[
         int | None,
@@ -176,7 +178,7 @@ def worst_case(request: WorstCaseRequest) -> None:
 
     Each policy has the same budget of episodes, in five rounds: the first in the whole box, each later one in a smaller
     box around the mildest failure so far, by a logistic response surface. Its own episodes flatter a search, so new
-    ones judge it: success there should be one half. Where its interval is above that, the result is not confirmed.
+    ones judge it, on the line through its result: the distance, with its interval, is where success falls to one half.
 
     The report has a video of a failure of each policy, and the command that shows it live. Every episode is written as
     it ends. After Ctrl-C, the same command with the same `--out` resumes.

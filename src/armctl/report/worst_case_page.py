@@ -33,12 +33,8 @@ def write_worst_case_page(folder: Path, out: Path, video: bool | None, progress:
 
 def headline(result: WorstCases) -> str:
     """Return the distance at which each policy fails, in a sentence."""
-    by_judgement: dict[str, list[str]] = {}
-    for case in result.cases:
-        name = f"{case.policy} at distance {case.radius:.2f}" if case.fails else case.policy
-        by_judgement.setdefault(case.judgement, []).append(name)
-    parts = [f"{listed(names)}: {judgement}" for judgement, names in by_judgement.items()]
-    return f"Mildest failures in {bare_id(result.env)}. {'; '.join(parts) or 'No policy has finished'}"
+    parts = [f"{case.policy} at {case.distance_in_words} [{case.interval_in_words}]" for case in result.cases]
+    return f"Distance of the mildest failure in {bare_id(result.env)}: {listed(parts) or 'no policy has finished'}"
 
 
 def _row(
@@ -57,7 +53,6 @@ def _row(
                 write_atomically(path, clip.video)
     return {
         "case": case,
-        "distance": f"{'' if case.fails else '> '}{case.radius:.2f}",
         "shares": [100 * axis.share(case.levels.get(axis.name, axis.neutral)) for axis in result.axes],
         "clip": clip,
     }

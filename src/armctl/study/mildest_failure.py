@@ -15,6 +15,7 @@ from armctl.core.errors import ConfigurationError, ResultsError, os_errors_as
 from armctl.core.files import write_atomically
 from armctl.core.seeds import TEST_SEED, Seed, evaluation_seed
 from armctl.episodes.record import EpisodeResult
+from armctl.stats.failure_line import line_through
 from armctl.stats.failure_surface import ROUND_WIDTHS, FailureSurface, fitted_surface, round_box, round_sizes
 from armctl.study.axis import Axis
 from armctl.study.comparison import Comparison
@@ -28,7 +29,7 @@ from armctl.study.results import read_study
 from armctl.study.run import play
 from armctl.study.search_box import levels_at, levels_between, point_at, points_of, search_axes
 from armctl.study.study import Study
-from armctl.study.worst_case_results import Case, WorstCases
+from armctl.study.worst_case_results import Case, JudgedPoint, WorstCases
 
 MIN_BUDGET = 50
 """Least number of episodes of a search: ten in each round."""
@@ -122,7 +123,8 @@ def worst_case(
     `disturbances` are names, or by name the end of each range, by default the strongest of a sweep's levels. The
     distance of a disturbance is the Euclidean norm of its levels, in units of their ranges. All policies have the same
     `budget` of episodes, in rounds; round k (from 0 on) plays seed `seed` + k, in which each episode has levels of its
-    own. Then `episodes` of another seed, `judge_seed`, judge the point: the search fits its own episodes too well.
+    own. Then `episodes` of another seed, `judge_seed`, at each of up to seven points judge the line through the
+    result: the search fits its own episodes too well.
 
     With `out`, the results of the rounds are in `out/search-1` and so on, those of the judgement in `out`, and a row
     for each policy in `out/worst_case.csv`. After an interrupt, the same call resumes. `progress` is called with the
@@ -136,7 +138,7 @@ def worst_case(
     cell = undisturbed_cell(policies, env, study_options)
     if cell.groups:
         raise ConfigurationError(f"{', '.join(cell.groups)}: a worst case is one of a single training")
-    budget, episodes = options.get("budget", 300), options.get("episodes", 200)
+    budget, episodes = options.get("budget", 300), options.get("episodes", 100)
     judge_seed = evaluation_seed(options.get("judge_seed", search_seed + len(ROUND_WIDTHS)))
     _check(budget, search_seed, judge_seed)
     axes = search_axes(disturbance_specs(cell.env, cell.env_options), disturbances)
@@ -144,15 +146,15 @@ def worst_case(
     parts = [(SEARCH.format(number + 1), size, search_seed + number) for number, size in enumerate(round_sizes(budget))]
     searches, studies = {name: Search.over(axes) for name in cell.players}, list[Study]()
     for number, (name, size, seed_of_round) in enumerate(parts):
-        boxes = {policy: search.next_levels(number) for policy, search in searches.items()}
+        boxes = {policy: [search.next_levels(number)] for policy, search in searches.items()}
         plan = _plan(cell, axes, boxes, extent(size, seed_of_round, study_options))
         label = f"search {number + 1}/{len(parts)}"
         studies.append(_play(plan, folder and folder / name, study_options, label, progress))
         if studies[-1].interrupted:
             return _concluded(axes, studies, None)
         _add(searches, studies[-1])
-    levels = {name: levels_at(axes, _judged_point(search)) for name, search in searches.items()}
-    plan = _plan(cell, axes, levels, extent(episodes, judge_seed, study_options))
+    lines = {name: _line(axes, search) for name, search in searches.items()}
+    plan = _plan(cell, axes, lines, extent(episodes, judge_seed, study_options))
     judged = _play(plan, folder, study_options, "judging", progress)
     result = _concluded(axes, studies, judged)
     if folder is not None and result.cases and not judged.storage_failures.get("results"):
@@ -190,19 +192,21 @@ def _check(budget: int, search_seed: int, judge_seed: int) -> None:
         )
 
 
-def _plan(cell: Cell, axes: Sequence[Axis], levels: Mapping[str, Mapping[str, Any]], shared: dict[str, Any]) -> Plan:
-    """Return the plan of a cell for each policy, with its levels of disturbances."""
+def _plan(
+    cell: Cell, axes: Sequence[Axis], levels: Mapping[str, Sequence[Mapping[str, Any]]], shared: dict[str, Any]
+) -> Plan:
+    """Return the plan of a cell for each policy and each of its levels of disturbances."""
     options = dict(cell.env_options)
     constant = dict(options.pop("disturbances", {}))
     cells = [
         replace(
             cell,
-            name=_cell_name(i, name),
+            name=_cell_name(i, name) + (f"-{k + 1}" if k else ""),
             policies={name: cell.policies[name]},
-            env_options=options | ({"disturbances": constant | dict(levels[name])} if constant or levels[name] else {}),
+            env_options=options | ({"disturbances": constant | dict(at)} if constant or at else {}),
         )
         for i, name in enumerate(cell.policies)
-        if name in levels
+        for k, at in enumerate(levels.get(name, ()))
     ]
     return Plan(WORST_CASE, [TaskPlan(cell.env, cells, axes=axes)], **shared, envs=[cell.env])
 
@@ -227,19 +231,29 @@ def _add(searches: dict[str, Search], study: Study) -> None:
     by_policy = _by_policy(study)
     for name in [*searches]:
         if name in by_policy:
-            searches[name].add(by_policy[name])
+            searches[name].add(by_policy[name][0])
         else:
             del searches[name]
 
 
-def _by_policy(study: Study) -> dict[str, Comparison]:
-    comparisons = [cell for swept in study.tasks.values() for cell in swept.comparisons.values()]
-    return {cell.names[0]: cell for cell in comparisons if cell.policies}
+def _by_policy(study: Study) -> dict[str, list[Comparison]]:
+    by_policy: dict[str, list[Comparison]] = {}
+    for swept in study.tasks.values():
+        for comparison in swept.comparisons.values():
+            if comparison.policies:
+                by_policy.setdefault(comparison.names[0], []).append(comparison)
+    return by_policy
 
 
 def _judged_point(search: Search) -> Array:
     mildest = search.mildest()
     return search.corner if mildest is None else mildest
+
+
+def _line(axes: Sequence[Axis], search: Search) -> list[dict[str, float]]:
+    """Return the levels of the points that judge a search, each once."""
+    levels = [levels_at(axes, point) for point in line_through(_judged_point(search))]
+    return [at for i, at in enumerate(levels) if at not in levels[:i]]
 
 
 def _concluded(axes: Sequence[Axis], rounds: Sequence[Study], judged: Study | None) -> WorstCases:
@@ -250,16 +264,14 @@ def _concluded(axes: Sequence[Axis], rounds: Sequence[Study], judged: Study | No
     comparisons = {} if judged is None else _by_policy(judged)
     cases = []
     for name, search in searches.items():
-        if (comparison := comparisons.get(name)) is None:
+        levels, judgements = _line(axes, search), comparisons.get(name, [])
+        if len(judgements) < len(levels):
             continue
-        levels = levels_at(axes, _judged_point(search))
-        point, (summary,) = point_at(axes, levels), comparison.policies
-        cases.append(
-            Case(
-                name, levels, float(np.linalg.norm(point)), search.mildest() is not None, len(search.success),
-                search.spared, summary, comparison,
-            )
-        )  # fmt: skip
+        line = [
+            JudgedPoint(at, float(np.linalg.norm(point_at(axes, at))), comparison)
+            for at, comparison in zip(levels, judgements, strict=True)
+        ]
+        cases.append(Case(name, levels_at(axes, _judged_point(search)), len(search.success), search.spared, line))
     problems = [problem for study in (*rounds, *([judged] if judged else [])) for problem in study.problems]
     first, last = rounds[0], judged or rounds[-1]
     return WorstCases(
@@ -268,7 +280,7 @@ def _concluded(axes: Sequence[Axis], rounds: Sequence[Study], judged: Study | No
         budget=sum(study.episodes for study in rounds),
         seeds=(first.seed, first.seed + len(ROUND_WIDTHS) - 1),
         judge_seed=judged.seed if judged else None,
-        cases=sorted(cases, key=lambda case: (case.fails, -case.radius)),
+        cases=sorted(cases, key=lambda case: (-case.distance.value, -case.line[-1].distance)),
         problems=problems,
         interrupted=last.interrupted,
     )

@@ -74,7 +74,7 @@ class WorstCaseOptions(TypedDict, total=False):
     budget: int
     """Number of episodes of each policy's search, 300 by default."""
     episodes: int
-    """Number of episodes that judge each point, 200 by default."""
+    """Number of episodes at each of up to seven points that judge a search, 100 by default."""
     judge_seed: int | Literal["test"]
     """Seed of these episodes; by default, the first after those of the search."""
     env_options: Mapping[str, Any] | None

@@ -10,14 +10,30 @@ import numpy as np
 
 from armctl.core.registration import bare_id
 from armctl.episodes.record import EpisodeResult
+from armctl.stats.failure_line import failure_distance
 from armctl.stats.failure_surface import ROUND_WIDTHS
+from armctl.stats.intervals import Estimate
 from armctl.study.axis import Axis
 from armctl.study.comparison import Comparison
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import Cell, Column, Document, Remark, Table, percent
 
-HALF = 0.5
+
+@dataclass(frozen=True)
+class JudgedPoint:
+    """New episodes of a policy at a point on the line through the result of its search."""
+
+    levels: Mapping[str, float]
+    """Levels of the disturbances, without those that have no effect."""
+    distance: float
+    """Euclidean norm of the levels, in units of their ranges."""
+    comparison: Comparison
+
+    @property
+    def summary(self) -> PolicySummary:
+        """Summary of the episodes."""
+        return self.comparison.policies[0]
 
 
 @dataclass(frozen=True)
@@ -26,35 +42,50 @@ class Case:
 
     policy: str
     levels: Mapping[str, float]
-    """Levels of the disturbances, without those that have no effect; the ends of all ranges if none was mild enough."""
-    radius: float
-    """Euclidean norm of the levels, in units of their ranges."""
-    fails: bool
-    """True if the search has a point of failure; else it says that the policy fails nowhere in the box."""
+    """Levels of the search's point; the ends of all ranges if none was mild enough."""
     searched: int
     """Number of episodes of the search."""
     spared: Sequence[str]
     """Disturbances that do not reach the policy."""
-    summary: PolicySummary
-    """Summary of the episodes that judge it."""
-    comparison: Comparison
+    line: Sequence[JudgedPoint]
+    """Points on the line through these levels, the mildest one first."""
 
     @property
-    def judgement(self) -> str:
-        """Sentence on success in the new episodes."""
-        assert self.summary.success is not None
-        low, high = self.summary.success.bounds
-        if not self.fails:
-            if low > HALF:
-                return "no failure in the box, as in the search"
-            return "the search missed a failure in the box" if high < HALF else "undecided at the ends of all ranges"
-        if low > HALF:
-            return "not confirmed: it succeeds more than half of the time there"
-        return (
-            "fails more than half of the time: a milder one may do"
-            if high < HALF
-            else "fails in about half of the episodes"
+    def at_levels(self) -> JudgedPoint:
+        """The point of the search."""
+        return next(point for point in self.line if point.levels == self.levels)
+
+    @property
+    def summary(self) -> PolicySummary:
+        """Summary of the new episodes at the search's point."""
+        return self.at_levels.summary
+
+    @property
+    def comparison(self) -> Comparison:
+        """The new episodes at the search's point."""
+        return self.at_levels.comparison
+
+    @cached_property
+    def distance(self) -> Estimate:
+        """Distance at which success falls to one half along the line, infinite if it does not."""
+        success = [point.comparison.counted[self.policy].column("success") for point in self.line]
+        return failure_distance(
+            [point.distance for point in self.line],
+            [np.nansum(of_point) for of_point in success],
+            [np.isfinite(of_point).sum() for of_point in success],
         )
+
+    @property
+    def distance_in_words(self) -> str:
+        """The distance, or the largest one that was judged."""
+        value = self.distance.value
+        return f"{value:.2f}" if np.isfinite(value) else f"> {self.line[-1].distance:.2f}"
+
+    @property
+    def interval_in_words(self) -> str:
+        """The interval of the distance; without failures, it has no upper limit."""
+        low, high = self.distance.bounds
+        return f"{low:.2f} to {high:.2f}" if np.isfinite(high) else f"from {low:.2f}"
 
     @property
     def levels_in_words(self) -> str:
@@ -121,11 +152,11 @@ class WorstCases(Displayed):
             assert success is not None
             records.append(
                 {
-                    "policy": case.policy, "kind": case.summary.side, "radius": case.radius,
-                    "fails": case.fails,
+                    "policy": case.policy, "kind": case.summary.side, "distance": case.distance.value,
+                    "distance_low": case.distance.low, "distance_high": case.distance.high,
                     **{axis.name: case.levels.get(axis.name, axis.neutral) for axis in self.axes},
                     "searched": case.searched, "episodes": case.summary.episodes, "success": success.value,
-                    "low": success.low, "high": success.high, "judgement": case.judgement,
+                    "success_low": success.low, "success_high": success.high,
                     "spared": " ".join(case.spared),
                     "failed_episode": "" if case.failure is None else case.failure.episode,
                 }
@@ -156,26 +187,27 @@ class WorstCases(Displayed):
         columns = [
             Column("policy"),
             Column("distance"),
+            Column("disturbance of the search"),
             Column("success there"),
-            Column("disturbance"),
-            Column("judgement"),
         ]
         rows = [
             [
-                Cell(case.policy), Cell(f"{'' if case.fails else '> '}{case.radius:.2f}"),
-                percent(case.summary.success), Cell(case.levels_in_words), Cell(case.judgement),
+                Cell(case.policy), Cell(case.distance_in_words, case.interval_in_words),
+                Cell(case.levels_in_words), percent(case.summary.success),
             ]
             for case in self.cases
         ]  # fmt: skip
         caption = (
             "Distance of the mildest disturbance with which a policy fails half of the time: Euclidean norm of its "
             f"levels in units of their ranges ({self.box}). Searched in {self.budget} episodes of each policy, of "
-            f"seeds {self.seeds[0]} to {self.seeds[1]}, by a response surface; success in new episodes, of seed "
-            f"{self.judge_seed}, with Clopper and Pearson's 95 % interval."
+            f"seeds {self.seeds[0]} to {self.seeds[1]}, by a response surface. The distance is where success falls to "
+            f"one half along the line through the search's disturbance, in new episodes, of seed {self.judge_seed}, "
+            "with a 95 % interval that assumes only that no stronger disturbance helps; off the line, a milder failure "
+            "may exist. Success: Clopper and Pearson's 95 % interval."
         )
         title = f"Worst cases in {bare_id(self.env)}"
         return Table("worst_cases", title, columns, rows, self.records, caption)
 
     def __repr__(self) -> str:
-        cases = "; ".join(f"{case.policy} {case.radius:.2f}: {case.judgement}" for case in self.cases) or "none yet"
+        cases = "; ".join(f"{case.policy} {case.distance_in_words}" for case in self.cases) or "none yet"
         return f"<Worst cases in {self.env} of {len(ROUND_WIDTHS)} rounds: {cases}>"
