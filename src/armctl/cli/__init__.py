@@ -65,9 +65,10 @@ def main() -> NoReturn:
 def _watch_threads(earlier: Set[threading.Thread]) -> None:
     """Name threads that somebody's code has started and that keep this process from its end; Ctrl-C ends them.
 
-    Libraries' own threads, such as those of worker processes, are told to end when Python itself ends, after this.
+    That of armctl's own workers is told to end when Python itself ends, after this.
     """
-    waiting = [thread for thread in threading.enumerate() if not thread.daemon and thread not in earlier]
+    others = [thread for thread in threading.enumerate() if not type(thread).__module__.startswith("joblib.")]
+    waiting = [thread for thread in others if not thread.daemon and thread not in earlier]
     if waiting:
         handler = signal.getsignal(signal.SIGINT)
 
