@@ -14,9 +14,9 @@ After Schulman et al., "Proximal policy optimization algorithms" (arXiv 1707.063
 "High-dimensional continuous control using generalized advantage estimation" (arXiv 1506.02438).
 """
 
+import itertools
 import time
 from collections import deque
-from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -45,23 +45,11 @@ SHAPING, SHAPING_SCALE = "ik", 150.0
 FOLDER = Path("runs/one_file_ppo")
 
 
-@dataclass(frozen=True)
-class Options:
-    """Hyperparameters."""
-
-    num_envs: int = 16
-    rollout_length: int = 128
-    """Control steps in each world between two updates."""
-    epochs: int = 8
-    batch_size: int = 256
-    learning_rate: float = 5e-4
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    max_gradient_norm: float = 0.5
-    hidden_units: int = 128
-    initial_log_std: float = -0.5
-    reward_scale: float = 0.02
+NUM_ENVS, ROLLOUT_LENGTH = 16, 128
+"""Worlds, and control steps in each between two updates."""
+EPOCHS, BATCH_SIZE, LEARNING_RATE, MAX_GRADIENT_NORM = 8, 256, 5e-4, 0.5
+GAMMA, GAE_LAMBDA, CLIP_RANGE = 0.99, 0.95, 0.2
+HIDDEN_UNITS, INITIAL_LOG_STD, REWARD_SCALE = 128, -0.5, 0.02
 
 
 class Rollout(NamedTuple):
@@ -80,39 +68,27 @@ class Rollout(NamedTuple):
     """0 where the step only reset the world."""
 
 
-def linear(inputs: int, outputs: int, gain: float = 2**0.5) -> nn.Linear:
-    """Return a linear layer with orthogonal weights, as is usual for PPO."""
-    layer = nn.Linear(inputs, outputs)
-    nn.init.orthogonal_(layer.weight, gain)
-    nn.init.zeros_(layer.bias)
-    return layer
-
-
-def mlp(inputs: int, hidden: int, outputs: int, gain: float) -> nn.Sequential:
-    """Return a network with two hidden layers."""
-    return nn.Sequential(
-        linear(inputs, hidden),
-        nn.Tanh(),
-        linear(hidden, hidden),
-        nn.Tanh(),
-        linear(hidden, outputs, gain),
-    )
+def mlp(inputs: int, outputs: int, gain: float) -> nn.Sequential:
+    """Return a network with two hidden layers and orthogonal weights, as is usual for PPO."""
+    layers = []
+    sizes = [inputs, HIDDEN_UNITS, HIDDEN_UNITS, outputs]
+    for scale, size in zip(
+        [2**0.5, 2**0.5, gain], itertools.pairwise(sizes), strict=True
+    ):
+        layers += [nn.Linear(*size), nn.Tanh()]
+        nn.init.orthogonal_(layers[-2].weight, scale)
+        nn.init.zeros_(layers[-2].bias)
+    return nn.Sequential(*layers[:-1])
 
 
 class ActorCritic(nn.Module):
     """A Gaussian policy, whose standard deviation does not depend on the observation, and a value function."""
 
-    def __init__(
-        self, observation_size: int, action_size: int, options: Options
-    ) -> None:
+    def __init__(self, observation_size: int, action_size: int) -> None:
         super().__init__()
-        self.actor = mlp(
-            observation_size, options.hidden_units, action_size, gain=0.01
-        )
-        self.critic = mlp(observation_size, options.hidden_units, 1, gain=1.0)
-        self.log_std = nn.Parameter(
-            torch.full((action_size,), options.initial_log_std)
-        )
+        self.actor = mlp(observation_size, action_size, gain=0.01)
+        self.critic = mlp(observation_size, 1, gain=1.0)
+        self.log_std = nn.Parameter(torch.full((action_size,), INITIAL_LOG_STD))
 
     def forward(self, *observation: torch.Tensor) -> torch.Tensor:
         """Return the mean actions (n, action_size) for the arrays (n, ...) of an observation, of which there is one."""
@@ -140,15 +116,12 @@ class Collector:
         """Success of the last episodes, which are played with exploration noise."""
 
     @torch.no_grad()
-    def collect(self, agent: ActorCritic, length: int) -> Rollout:
-        """Make `length` control steps in every world."""
+    def collect(self, agent: ActorCritic) -> Rollout:
+        """Make `ROLLOUT_LENGTH` control steps in every world."""
         steps = []
-        for _ in range(length):
-            policy, observations, acted = (
-                agent.policy(self.observations),
-                self.observations,
-                1 - self.ended,
-            )
+        for _ in range(ROLLOUT_LENGTH):
+            observations, acted = self.observations, 1 - self.ended
+            policy = agent.policy(observations)
             actions = policy.sample()
             observed, rewards, terminated, truncated, infos = self.envs.step(
                 actions.numpy()
@@ -156,27 +129,22 @@ class Collector:
             self.observations = torch.as_tensor(observed)
             self.ended = torch.as_tensor(terminated | truncated).float()
             self.successes.extend(infos["is_success"][terminated | truncated])
+            decision = (
+                observations,
+                actions,
+                policy.log_prob(actions),
+                agent.value(observations),
+            )
             outcome = (
                 torch.as_tensor(rewards).float(),
                 torch.as_tensor(terminated).float(),
                 self.ended,
             )
-            steps.append(
-                (
-                    observations,
-                    actions,
-                    policy.log_prob(actions),
-                    agent.value(observations),
-                    *outcome,
-                    acted,
-                )
-            )
+            steps.append((*decision, *outcome, acted))
         return Rollout(*map(torch.stack, zip(*steps, strict=True)))
 
 
-def advantages_of(
-    rollout: Rollout, last_values: torch.Tensor, options: Options
-) -> torch.Tensor:
+def advantages_of(rollout: Rollout, last_values: torch.Tensor) -> torch.Tensor:
     """Return generalized advantage estimates (rollout_length, num_envs).
 
         delta_t = r_t + gamma V(s_t+1) (1 - terminated_t) - V(s_t)
@@ -187,22 +155,14 @@ def advantages_of(
     next_values = torch.cat([rollout.values[1:], last_values[None]])
     deltas = (
         rollout.rewards
-        + options.gamma * next_values * (1 - rollout.terminated)
+        + GAMMA * next_values * (1 - rollout.terminated)
         - rollout.values
     )
-    advantages, advantage = (
-        torch.zeros_like(deltas),
-        torch.zeros_like(last_values),
-    )
+    decay = GAMMA * GAE_LAMBDA * (1 - rollout.ended)
+    advantages = torch.zeros_like(deltas)
+    advantage = torch.zeros_like(last_values)
     for t in reversed(range(len(deltas))):
-        advantage = (
-            deltas[t]
-            + options.gamma
-            * options.gae_lambda
-            * (1 - rollout.ended[t])
-            * advantage
-        )
-        advantages[t] = advantage
+        advantages[t] = advantage = deltas[t] + decay[t] * advantage
     return advantages
 
 
@@ -211,81 +171,61 @@ def update(
     optimizer: torch.optim.Optimizer,
     rollout: Rollout,
     advantages: torch.Tensor,
-    options: Options,
 ) -> int:
-    """Improve policy and value by clipped gradient steps; return how many."""
+    """Improve policy and value by clipped gradient steps; return their number."""
     acted = rollout.acted > 0
     returns = (advantages + rollout.values)[acted]
-    observations, actions, log_probs, advantages = (
-        part[acted]
-        for part in (
-            rollout.observations,
-            rollout.actions,
-            rollout.log_probs,
-            advantages,
+    advantages = advantages[acted]
+    observations, actions, log_probs, *_ = (part[acted] for part in rollout)
+    batches = [
+        batch
+        for _ in range(EPOCHS)
+        for batch in torch.randperm(len(returns)).split(BATCH_SIZE)
+    ]
+    for batch in batches:
+        advantage = advantages[batch]
+        advantage = (advantage - advantage.mean()) / (
+            advantage.std(correction=0) + 1e-8
         )
-    )
-    gradient_steps = 0
-    for _ in range(options.epochs):
-        for batch in torch.randperm(len(returns)).split(options.batch_size):
-            advantage = advantages[batch]
-            advantage = (advantage - advantage.mean()) / (
-                advantage.std(correction=0) + 1e-8
-            )
-            ratio = (
-                agent.policy(observations[batch]).log_prob(actions[batch])
-                - log_probs[batch]
-            ).exp()
-            clipped = ratio.clamp(
-                1 - options.clip_range, 1 + options.clip_range
-            )
-            policy_loss = -torch.min(
-                ratio * advantage, clipped * advantage
-            ).mean()
-            value_loss = (
-                agent.value(observations[batch]) - returns[batch]
-            ).square().mean() / 2
-            optimizer.zero_grad()
-            (policy_loss + value_loss).backward()
-            nn.utils.clip_grad_norm_(
-                agent.parameters(), options.max_gradient_norm
-            )
-            optimizer.step()
-            gradient_steps += 1
-    return gradient_steps
+        ratio = (
+            agent.policy(observations[batch]).log_prob(actions[batch])
+            - log_probs[batch]
+        ).exp()
+        clipped = ratio.clamp(1 - CLIP_RANGE, 1 + CLIP_RANGE)
+        policy_loss = -torch.min(ratio * advantage, clipped * advantage).mean()
+        value_loss = (
+            agent.value(observations[batch]) - returns[batch]
+        ).square().mean() / 2
+        optimizer.zero_grad()
+        (policy_loss + value_loss).backward()
+        nn.utils.clip_grad_norm_(agent.parameters(), MAX_GRADIENT_NORM)
+        optimizer.step()
+    return len(batches)
 
 
 def train(
-    envs: gymnasium.vector.VectorEnv, steps: int, seed: int, options: Options
+    envs: gymnasium.vector.VectorEnv, steps: int, seed: int
 ) -> tuple[ActorCritic, dict[str, int]]:
     """Train for at least `steps` control steps, and return the networks, and what the training took."""
     torch.manual_seed(seed)
-    sizes = (
-        envs.single_observation_space.shape[0],
-        envs.single_action_space.shape[0],
-    )
-    agent = ActorCritic(*sizes, options)
-    optimizer = torch.optim.Adam(agent.parameters(), lr=options.learning_rate)
+    spaces = envs.single_observation_space, envs.single_action_space
+    agent = ActorCritic(*(space.shape[0] for space in spaces))
+    optimizer = torch.optim.Adam(agent.parameters(), lr=LEARNING_RATE)
     collector, gradient_steps = Collector(envs, seed), 0
-    steps_per_update = options.num_envs * options.rollout_length
+    steps_per_update = NUM_ENVS * ROLLOUT_LENGTH
     updates = -(-steps // steps_per_update)
     for number in track(range(1, updates + 1), "training"):
-        rollout = collector.collect(agent, options.rollout_length)
+        rollout = collector.collect(agent)
         with torch.no_grad():
             last_values = agent.value(collector.observations)
         gradient_steps += update(
-            agent,
-            optimizer,
-            rollout,
-            advantages_of(rollout, last_values, options),
-            options,
+            agent, optimizer, rollout, advantages_of(rollout, last_values)
         )
         if number % 10 == 0 or number == updates:
-            success = (
-                np.mean(collector.successes) if collector.successes else 0.0
-            )
+            success = np.mean(collector.successes or [0.0])
+            steps_so_far = number * steps_per_update
             print(
-                f"{number * steps_per_update:9,} steps: success {success:.0%} with exploration noise"
+                f"{steps_so_far:9,} steps: {success:.0%} with exploration noise"
             )
     return agent, {
         "training_steps": updates * steps_per_update,
@@ -326,20 +266,16 @@ def export(
 
 def main() -> None:
     """Train, export, and count successes on held-out episodes."""
-    given, options, start = (
-        arguments(__doc__, steps=150_000),
-        Options(),
-        time.monotonic(),
-    )
+    given, start = arguments(__doc__, steps=150_000), time.monotonic()
     envs = gymnasium.make_vec(
         f"armctl:{ENV}",
-        options.num_envs,
+        NUM_ENVS,
         autoreset_mode="next_step",
-        reward_scale=options.reward_scale,
+        reward_scale=REWARD_SCALE,
         **ENV_OPTIONS,
     )
-    envs = Shaped(envs, SHAPING, gamma=options.gamma, scale=SHAPING_SCALE)
-    agent, costs = train(envs, given.steps, seed=given.seed, options=options)
+    envs = Shaped(envs, SHAPING, gamma=GAMMA, scale=SHAPING_SCALE)
+    agent, costs = train(envs, given.steps, seed=given.seed)
     card_file = export(
         agent,
         envs,
@@ -348,7 +284,12 @@ def main() -> None:
         processor_seconds=time.process_time(),
         training_minutes=(time.monotonic() - start) / 60,
         training_seed=given.seed,
-        learner_options=asdict(options),
+        learner_options={
+            "epochs": EPOCHS,
+            "learning_rate": LEARNING_RATE,
+            "gamma": GAMMA,
+            "hidden_units": HIDDEN_UNITS,
+        },
     )
     envs.close()
     print(f"agent: {card_file}")

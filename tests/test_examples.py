@@ -23,7 +23,7 @@ STEPS = {"sb3_sac_her": 2_100}
 FEWER = {
     "cleanrl_unmodified": {'"--cuda=False",': '"--cuda=False", "--num-steps=128",'},
     "minari_imitation_bc": {"episodes=500": "episodes=50"},
-    "one_file_ppo": {"rollout_length: int = 128": "rollout_length: int = 16"},
+    "one_file_ppo": {"ROLLOUT_LENGTH = 16, 128": "ROLLOUT_LENGTH = 16, 16"},
     "sb3_contrib_recurrent_ppo": {"n_steps=128": "n_steps=16"},
     "sb3_ppo": {'"n_steps": 128': '"n_steps": 16'},
     "sb3_ppo_bridge_cnn": {"n_steps=64": "n_steps=8"},
