@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.baselines.reach_task import checked_options
+from armctl.baselines.reach_task import checked_options, search_for, split
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
@@ -54,13 +54,13 @@ class ReachIkOptions:
     """Estimate joints, links, load, target and delay, where positions are commanded. False: average some readings."""
 
 
-@made_for("armctl/ArmReach*", controls="arms: not torque")
+@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: not torque")
 @sees("model", family="IK")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Pinocchio IK: the minimum-time collision-free configuration that reaches the target."""
     controls = ("position", "relative", "delta", "velocity")
-    task = checked_options("reach_ik", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, controls)
-    search = MinimumTimeReach(ArmModel(env.robot))
+    task = checked_options("reach_ik", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, controls, poses=True)
+    search = search_for(ArmModel(env.robot), task)
     chosen = changed_options(ReachIkOptions(), options, "option of reach_ik")
     moving, prepared = isinstance(task, ReachMovingOptions), chosen.prepared and task.control == "position"
     setting = search, task.tolerance, chosen.margin * task.tolerance
@@ -82,18 +82,17 @@ class ReachIk:
     def reset(self) -> None:
         """Forget the plan and all readings."""
         self._readings = self._plans = self._steps_to_plan = 0
-        self._target, self._tip_offset = np.zeros(3), np.zeros(3)
+        self._target, self._tip_offset = np.zeros((2, len(self._search.place(self._search.model.home))))
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return the action (dof,) for an observation: positions of end-effector, joints and target, and others."""
-        model = self._search.model
-        tip, q, target, _ = np.split(observation.astype(float), (3, 3 + model.dof, 6 + model.dof))
+        tip, q, target, _ = split(self._search, observation)
         self._readings += 1
         self._target += (target - self._target) / self._readings
         if self._steps_to_plan == 0:
             self._plan(q)
         self._steps_to_plan -= 1
-        self._tip_offset += SMOOTHING * (tip - model.position(q) - self._tip_offset)
+        self._tip_offset += SMOOTHING * (tip - self._search.place(q) - self._tip_offset)
         shift = self._target - self._tip_offset - self._aim
         return self._towards(self._goal + damped_step(self._jacobian, shift, DAMPING), q)
 
@@ -102,9 +101,9 @@ class ReachIk:
         self._plans += 1
         self._aim = self._target - self._tip_offset
         goal = self._search.find(q, self._aim, self._radius / self._plans)
-        self._entry = self._search.ik.position(self._aim, q).closest if goal is None else goal.q
+        self._entry = self._search.closest(self._aim, q) if goal is None else goal.q
         self._goal = self._entry if goal is None else goal.command
-        self._jacobian = self._search.model.jacobian(self._goal)[:3]
+        self._jacobian = self._search.place_jacobian(self._goal)
         self._steps_to_plan = REPLAN_STEPS + (0 if goal is None else math.ceil(goal.time / CONTROL_PERIOD))
 
     def _towards(self, goal: Array, q: Array) -> Array:
@@ -161,12 +160,15 @@ class PreparedReachIk(ReachIk):
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return joint positions (dof,) to move to, for an observation: end-effector, joints, target, and others."""
-        belief, dof = self._belief, self._search.model.dof
-        belief.read(*np.split(observation.astype(float), (3, 3 + dof, 6 + dof))[:3])
-        self._target = belief.target
+        belief = self._belief
+        tip, q, target, _ = split(self._search, observation)
+        belief.read(tip[:3], q, target[:3])
+        self._readings += 1
+        self._target += (target - self._target) / self._readings
+        self._target[:3] = belief.target
         if self._steps_to_plan == 0:
             self._plan(belief.joints_ahead)
-            self._inside = self._search.model.position(self._entry) - self._aim
+            self._inside = self._search.place(self._entry) - self._aim
         self._steps_to_plan -= 1
         self._correct()
         command = self._goal - belief.load_offset
@@ -175,10 +177,9 @@ class PreparedReachIk(ReachIk):
 
     def _correct(self) -> None:
         """Make a Newton step to the planned place in the sphere, by what is known of links and target by now."""
-        model = self._search.model
-        self._tip_offset = self._belief.tip_offset(self._entry)
-        error = self._target + self._inside - model.position(self._entry) - self._tip_offset
-        step = damped_step(model.jacobian(self._entry)[:3], error, DAMPING)
+        self._tip_offset[:3] = self._belief.tip_offset(self._entry)
+        error = self._target + self._inside - self._search.place(self._entry) - self._tip_offset
+        step = damped_step(self._search.place_jacobian(self._entry), error, DAMPING)
         step *= LARGEST_CORRECTION / max(float(np.abs(step).max()), LARGEST_CORRECTION)
         self._entry, self._goal = self._entry + step, self._goal + step
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_options
+from armctl.baselines.reach_task import checked_options, search_for, split
 from armctl.core.arrays import Array
 from armctl.core.options import NonNegative, Positive, changed_options, options
 from armctl.envs import ModelInterface
-from armctl.kinematics import ArmModel
+from armctl.kinematics import ArmModel, MinimumTimeReach
 from armctl.kinematics.damped_least_squares import damped_step
 from armctl.policies import PerWorld, made_for, sees
 from armctl.tasks import OBSERVATION, ReachOptions
@@ -39,34 +39,37 @@ class ReachRateOptions:
     """m."""
 
 
-@made_for("armctl/ArmReach*", controls="arms: not torque", interface={"control": "velocity"})
+@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: not torque", interface={"control": "velocity"})
 @sees("model", family="resolved rate")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Resolved-rate control: the tip to the target around the base, by damped least squares; a floor."""
-    task = checked_options("reach_rate", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, CONTROLS)
+    task = checked_options("reach_rate", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, CONTROLS, poses=True)
     gains = changed_options(ReachRateOptions(), options, "option of reach_rate")
-    model, moving = ArmModel(env.robot), "target_velocity" in task.parts
-    return PerWorld([ReachRate(model, task.control, moving, gains) for _ in range(env.num_envs)])
+    search, moving = search_for(ArmModel(env.robot), task), "target_velocity" in task.parts
+    return PerWorld([ReachRate(search, task.control, moving, gains) for _ in range(env.num_envs)])
 
 
 class ReachRate:
     """Reaches with one arm."""
 
-    def __init__(self, model: ArmModel, control: str, moving: bool, gains: ReachRateOptions) -> None:
-        self._model, self._control, self._moving, self._gains = model, control, moving, gains
+    def __init__(self, search: MinimumTimeReach, control: str, moving: bool, gains: ReachRateOptions) -> None:
+        self._search, self._control, self._moving, self._gains = search, control, moving, gains
 
     def reset(self) -> None:
         """Do nothing: it has no memory."""
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return the action (dof,) for an observation: positions of end-effector, joints and target, and others."""
-        model, dof, limits = self._model, self._model.dof, self._model.limits
-        tip, q, target, extra = np.split(np.nan_to_num(observation.astype(float)), (3, 3 + dof, 6 + dof))
-        velocity = self._gains.gain * (way_around(tip, target) if model.base_yaw_is_vertical else target - tip)
+        model, limits = self._search.model, self._search.model.limits
+        tip, q, target, extra = split(self._search, np.nan_to_num(observation))
+        way = target - tip
+        if model.base_yaw_is_vertical:
+            way[:3] = way_around(tip[:3], target[:3])
+        velocity = self._gains.gain * way
         velocity *= min(1.0, self._gains.speed / max(float(np.linalg.norm(velocity)), 1e-9))
         if self._moving:
             velocity = velocity + extra[:3]
-        speeds = damped_step(model.jacobian(q)[:3], velocity, self._gains.damping**2)
+        speeds = damped_step(self._search.place_jacobian(q), velocity, self._gains.damping**2)
         speeds = speeds / max(1.0, float(np.abs(speeds / limits.velocity).max()))
         if self._control == "velocity":
             return speeds

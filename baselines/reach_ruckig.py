@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.baselines.reach_task import checked_options
+from armctl.baselines.reach_task import checked_options, search_for, split
 from armctl.control.streaming import CommandStream
 from armctl.control.trajectory import JerkLimitedMotion, scaled
 from armctl.core.arrays import Array
@@ -63,13 +63,13 @@ class ReachRuckigOptions:
     jerk: Fraction = 1.0
 
 
-@made_for("armctl/ArmReach*", controls="arms: not torque", interface={"control": "velocity"})
+@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: not torque", interface={"control": "velocity"})
 @sees("model", family="Ruckig")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Jerk-limited minimum-time motion to the configuration that gets there first, replanned on line by Ruckig."""
-    task = checked_options("reach_ruckig", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, CONTROLS)
+    task = checked_options("reach_ruckig", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, CONTROLS, poses=True)
     shares = changed_options(ReachRuckigOptions(), options, "option of reach_ruckig")
-    search, parts = MinimumTimeReach(ArmModel(env.robot)), list(task.parts)
+    search, parts = search_for(ArmModel(env.robot), task), list(task.parts)
     return PerWorld([ReachRuckig(search, task.tolerance, task.control, parts, shares) for _ in range(env.num_envs)])
 
 
@@ -88,15 +88,15 @@ class ReachRuckig:
         """Forget the motion and all readings."""
         self._model = self._search.model
         self._motion: JerkLimitedMotion | None = None
-        self._target, self._target_velocity, self._target_acceleration, self._tip_offset = np.zeros((4, 3))
+        self._target, self._tip_offset = np.zeros((2, len(self._search.place(self._model.home))))
+        self._target_velocity, self._target_acceleration = np.zeros((2, 3))
         self._lag, self._correction = np.zeros(self._model.dof), np.zeros(self._model.dof)
         self._readings = self._choices = self._steps_to_choice = 0
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return the action (dof,) for an observation: positions of end-effector, joints and target, and others."""
-        dof = self._model.dof
-        tip, q, target, extra = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        readable = bool(np.isfinite(observation).all())
+        dof, readable = self._model.dof, bool(np.isfinite(observation).all())
+        tip, q, target, extra = split(self._search, observation)
         if self._motion is None and not readable:
             return self._model.home if self._control == "position" else np.zeros(dof)
         if self._motion is None:
@@ -122,7 +122,7 @@ class ReachRuckig:
             change = (extra[:3] - self._target_velocity) / CONTROL_PERIOD if self._readings > 1 else np.zeros(3)
             self._target_acceleration += ACCELERATION_SMOOTHING * (change - self._target_acceleration)
             self._target_velocity = extra[:3]
-        self._tip_offset += SMOOTHING * (tip - self._model.position(q) - self._tip_offset)
+        self._tip_offset += SMOOTHING * (tip - self._search.place(q) - self._tip_offset)
         self._lag += SMOOTHING * (q - self._stream.position - self._lag)
 
     def _is_astray(self) -> bool:
@@ -146,7 +146,7 @@ class ReachRuckig:
         if entry is None:
             entry = self._last_resort(motion, early, radius)
         self._goal, time = entry
-        self._jacobian = self._model.jacobian(self._goal)[:3]
+        self._jacobian = self._search.place_jacobian(self._goal)
         self._steps_to_choice = REPLAN_STEPS + math.ceil(time / CONTROL_PERIOD)
 
     def _last_resort(self, motion: JerkLimitedMotion, early: Array, radius: float) -> "Entry":
@@ -155,7 +155,7 @@ class ReachRuckig:
             return Entry(motion.position, PATIENCE * self._choices)
         if len(early):
             return self._entry(motion, early[0], radius)[0]
-        return Entry(self._search.ik.position(self._aim, motion.position).closest, 0.0)
+        return Entry(self._search.closest(self._aim, motion.position), 0.0)
 
     def _catch_up(self, motion: JerkLimitedMotion) -> None:
         """Command beyond the goal what joints lag behind, as under a payload; begin anew where they are blocked."""
@@ -185,7 +185,7 @@ class ReachRuckig:
         beyond = fly_by_setpoint(start, q, float(self._model.min_time(start, q)), self._limits)
         for goal in (beyond, q):
             path = self._correction + motion.preview(goal - self._correction, SAMPLE)
-            inside = np.linalg.norm(self._model.positions(path) - self._aim, axis=1) <= radius
+            inside = np.linalg.norm(self._search.places(path) - self._aim, axis=1) <= radius
             if inside.any():
                 break
         last = int(inside.argmax()) if inside.any() else len(path) - 1

@@ -1,5 +1,4 @@
 import contextlib
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from armctl.core.registration import environment_names, installed
 from armctl.envs import make_worlds
 from armctl.policies import Policy, make_policy, policy_names
 from armctl.policies.catalogue import listed_policies
+from armctl.policies.declare import is_made_for
 from armctl.policies.find import loaded
 from armctl.policies.trainings import card_of, card_path
 from armctl.study.line_up import default_policies
@@ -41,9 +41,9 @@ SEEN |= dict.fromkeys(("bridge_moving_state_ppo", "bridge_moving_imagined", "bri
 SEEN |= dict.fromkeys(("reach_mppi", "bridge_dwa", "bridge_lidar_ompl", "bridge_pursuit"), "model")
 MEETINGS = [(name, env) for env in environment_names() for name in default_policies(env)]
 EXPERTS = {policy.name: policy.envs for policy in listed_policies() if policy.kind == "expert"}
-FOREIGN = {name for name, envs in EXPERTS.items() if not any(fnmatchcase(env, envs) for env in environment_names())}
+FOREIGN = {name for name, envs in EXPERTS.items() if not any(is_made_for(env, envs) for env in environment_names())}
 MEETINGS += [
-    (name, min(env for env in environment_names() if fnmatchcase(env, envs)))
+    (name, min(env for env in environment_names() if is_made_for(env, envs)))
     for name, envs in EXPERTS.items()
     if name not in FOREIGN.union(dict(MEETINGS))
 ]

@@ -1,5 +1,7 @@
 """Demonstrations of a teacher or a dataset, as examples to learn from."""
 
+import functools
+import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,9 +24,10 @@ from armctl.rl.networks.view import Features
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.training import Training
 from armctl.tasks import ReachMovingTask, ReachTask
-from armctl.tasks.reach import observation_slices
 from armctl.training.learners import Recipe
 
+ACHIEVED = {"target_position": "end_effector_position", "target_axes": "end_effector_axes"}
+"""Parts of an observation that tell the target, and those that tell where the end-effector is."""
 LOOK_BACK = 10
 """Control steps before an example from which hindsight takes its targets, at most."""
 
@@ -67,11 +70,19 @@ class Examples:
         parts = [episode.observations for episode in self.episodes]
         self._observations = map_arrays(lambda *arrays: np.concatenate(arrays), *parts)
 
+    @functools.cached_property
+    def _slices(self) -> dict[str, slice]:
+        """Places of the observation's parts."""
+        sizes = {name: part.shape[1] for name, part in self.task.observation_parts().items()}
+        ends = itertools.accumulate(sizes.values())
+        return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
     def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
         """Return a random batch of observations and actions (size, ...).
 
         Some are relabelled in hindsight (Ding et al., Goal-conditioned imitation learning, NeurIPS 2019): the target
-        becomes the end-effector's position at another time of the episode, the action the joint positions at that time.
+        becomes the end-effector's position, or pose, at another time of the episode, the action the joint positions at
+        that time.
         """
         samples = rng.integers(len(self._rows), size=size)
         rows, actions = self._rows[samples], self._actions[samples]
@@ -80,8 +91,10 @@ class Examples:
             other = rng.random(size) < self.hindsight
             first = np.maximum(self._begins[samples], rows - LOOK_BACK)
             achieved = self._observations[rng.integers(first, self._ends[samples] + 1)]
-            parts = observation_slices(actions.shape[1])
-            observations[other, parts["target_position"]] = achieved[other, parts["end_effector_position"]]
+            parts = self._slices
+            for goal, place in ACHIEVED.items():
+                if goal in parts:
+                    observations[other, parts[goal]] = achieved[other, parts[place]]
             actions[other] = achieved[other, parts["joint_positions"]]
         return tensors(observations), torch.as_tensor(actions)
 

@@ -21,6 +21,10 @@ from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
 
+TURN_NUMBERS = 9 + 3 + 1 + 3
+NEARBY_TURN = 0.2
+"""Distance of axes, nearer than which the direction of the turn fades."""
+
 
 class ReachFeatures(BaseFeaturesExtractor):
     """Positions, the offset to the target, each joint's sine and cosine, and the rest of the observation."""
@@ -44,15 +48,16 @@ class ReachFeatures(BaseFeaturesExtractor):
 class BaseYawInvariantFeatures(BaseFeaturesExtractor):
     """`ReachFeatures` in the frame of an arm's first joint, whose axis is vertical: rotating the scene changes nothing.
 
-    `parts` are the names and sizes of the observation's parts after the target position. The target's velocity and the
-    boxes are rotated as well. One small network encodes each box, and max pooling makes the result independent of their
-    order (Qi et al., PointNet, 2017).
+    `parts` are the names and sizes of the observation's parts after the target position. The target's velocity, the
+    boxes and the axes of a pose are rotated as well; axes also give the turn that is missing. One small network encodes
+    each box, and max pooling makes the result independent of their order (Qi et al., PointNet, 2017).
     """
 
     def __init__(self, observation_space: spaces.Box, dof: int, parts: dict[str, int], box_features: int = 64) -> None:
         self.parts = dict(parts)
         has_boxes = "boxes" in parts
         rest = sum(size for name, size in parts.items() if name != "boxes") + (box_features if has_boxes else 0)
+        rest += TURN_NUMBERS if "target_axes" in parts else 0
         super().__init__(observation_space, 13 + 2 * (dof - 1) + rest)
         self.sizes = [*observation_sizes(dof).values(), *parts.values()]
         if has_boxes:
@@ -63,12 +68,16 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         tip, joints, target, *rest = observations.split(self.sizes, dim=1)
         yaw = joints[:, :1]
         features, target = in_first_joint_frame(tip, joints, yaw, target, _norm)
+        axes = []
         for name, part in zip(self.parts, rest, strict=True):
             if name == "boxes":
                 features.append(self._encode_boxes(part, yaw, target))
+            elif name in ("end_effector_axes", "target_axes"):
+                axes.append(rotated(part.unflatten(1, (2, 3)), -yaw[:, None]))
+                features.append(axes[-1].flatten(1))
             else:
                 features.append(rotated(part, -yaw) if name == "target_velocity" else part)
-        return torch.cat(features, dim=1)
+        return torch.cat((*features, *([missing_turn(*axes)] if axes else [])), dim=1)
 
     def _encode_boxes(self, numbers: torch.Tensor, base_yaw: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         boxes = numbers.unflatten(1, (-1, BOX_NUMBERS))
@@ -78,6 +87,25 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         parts = (centre, centre - target[:, None], half_sizes, yaw.sin(), yaw.cos())
         present = (half_sizes > 0).all(dim=-1, keepdim=True)
         return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * present).amax(dim=1)
+
+
+def missing_turn(tip_axes: torch.Tensor, target_axes: torch.Tensor) -> torch.Tensor:
+    """Return features (n, `TURN_NUMBERS`) of the turn from one orientation to another, of whose axes (n, 2, 3) are two.
+
+    They are the relative rotation, the sum of its axes' cross products, which is 2 sin(angle) about the axis to turn
+    about, the distance of the axes, which is sqrt(8) sin(angle / 2), and the former as a direction that fades near 0.
+    """
+    frames = [torch.cat((axes, _cross(axes[:, :1], axes[:, 1:])), dim=1) for axes in (tip_axes, target_axes)]
+    tip, target = frames
+    turn, twist = (tip @ target.transpose(1, 2)).flatten(1), _cross(tip, target).sum(dim=1)
+    distance = _norm((target - tip).flatten(1))
+    return torch.cat((turn, twist, distance, twist / (distance + NEARBY_TURN)), dim=1)
+
+
+def _cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    x, y, z = a.unbind(dim=-1)
+    u, v, w = b.unbind(dim=-1)
+    return torch.stack((y * w - z * v, z * u - x * w, x * v - y * u), dim=-1)
 
 
 def _norm(vectors: torch.Tensor) -> torch.Tensor:

@@ -86,6 +86,7 @@ def test_it_reaches_with_noisy_readings_and_links_of_other_lengths(disturbances,
     [
         ("armctl/ArmReachObstacles-v0", {}), ("armctl/ArmReachMoving-v0", {}), (REACH, {"control": "velocity"}),
         (REACH, {"observation": "full"}), ("armctl/ArmReachMoving-v0", {"observation": "full"}),
+        ("armctl/ArmPose-v0", {"control": "velocity"}), ("armctl/ArmPose-v0", {"observation": "full"}),
     ],
 )  # fmt: skip
 def test_it_plays_every_task_that_it_is_made_for(env, options, prepared):

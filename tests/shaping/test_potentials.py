@@ -16,6 +16,7 @@ from .test_wrappers import PAIRS, make
 def test_each_environment_names_its_oracles():
     names = {env: potential_names(make(env, 1)) for env in gymnasium.registry if env.startswith("armctl/")}
     assert names == {
+        "armctl/ArmPose-v0": ["distance", "ik"],
         "armctl/ArmReach-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachMoving-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachObstacles-v0": ["distance", "ik", "mpc", "ompl"],

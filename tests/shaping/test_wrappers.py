@@ -15,6 +15,7 @@ from armctl.tasks.bridge.layout import sample_layout
 
 GAMMA = 0.97
 PAIRS = [
+    ("armctl/ArmPose-v0", "ik", "reach_ik"),
     ("armctl/ArmReach-v0", "distance", "reach_ik"),
     ("armctl/ArmReach-v0", "ik", "reach_ik"),
     ("armctl/ArmReach-v0", "mpc", "reach_ik"),

@@ -18,7 +18,7 @@ class BatchSteps:
         self._impact, self._worlds = simulation._stepper._impact, simulation._stepper._worlds
         self._timestep = np.asarray(self.batch.expand("opt.timestep"))
         self._fields = {name: simulation.array(name) for name in ("qpos", "qvel", "act", "ctrl", "time")}
-        self._outputs = {name: simulation.array(name) for name in ("sensordata", "qfrc_actuator", "xpos")}
+        self._outputs = {name: simulation.array(name) for name in ("sensordata", "qfrc_actuator", "xpos", "xmat")}
 
     @classmethod
     def take_over(cls, simulation):
@@ -62,6 +62,10 @@ class BatchSteps:
                 target = np.float32(target_query.targets[min(k, len(target_query.targets) - 1)]).astype(float)
                 offset = target - np.float32(self._outputs["xpos"][:, target_query.body])
                 distances = np.sqrt((offset * offset).sum(axis=-1))
+                if len(target_query.rotations):
+                    rotations = self._outputs["xmat"].reshape(len(distances), -1, 9)[:, target_query.body]
+                    turns = np.sqrt(((target_query.rotations - rotations) ** 2).sum(axis=-1) / 8)
+                    distances = np.maximum(distances, 2 * target_query.lever * np.arcsin(np.minimum(turns, 1.0)))
                 target_query.distances[k, ids] = distances[ids]
                 standing |= distances <= target_query.tolerance
         worlds.refined[:] = refined

@@ -38,6 +38,8 @@ class StepBuffers(NamedTuple):
     sensors: Array
     positions: Array
     """`xpos`, (bodies, 3)."""
+    rotations: Array
+    """`xmat`, (bodies, 9)."""
     warnings: NDArray[np.int32]
     """Counts of warnings of bad positions, velocities and accelerations, (3,)."""
     body_positions: tuple[Array, Array]
@@ -99,7 +101,11 @@ class Samples(NamedTuple):
 
 
 class TargetQuery(NamedTuple):
-    """Position of a body, its distance from its target after each tick, and whether a world stands still there."""
+    """Position of a body, its distance from its target after each tick, and whether a world stands still there.
+
+    Where targets are poses, the distance is that of the positions, or `lever` times the angle between the orientations,
+    whichever is larger.
+    """
 
     body: int
     targets: Array
@@ -110,6 +116,10 @@ class TargetQuery(NamedTuple):
     """(ticks, n) m."""
     positions: Array
     """(ticks, n, 3) m, of the body."""
+    rotations: Array = np.zeros((0, 9))
+    """(n, 9) rotation matrices of targets that are poses; (0, 9): they are positions."""
+    lever: float = 0.0
+    """m/rad."""
 
 
 class ContactOutput(NamedTuple):
@@ -180,6 +190,22 @@ def distances_as_observed(positions, targets, distances):
     """Compute `distances` (n,) of n positions from targets, (n, 3) each, rounded as in observations."""
     for i in range(len(distances)):
         distances[i] = distance_as_observed(positions[i], targets[i])
+
+
+@compiled
+def angle_between(rotation, target):
+    """Return the angle (rad) between two rotation matrices (9,)."""
+    square = 0.0
+    for i in range(9):
+        square += (target[i] - rotation[i]) ** 2
+    return 2 * np.arcsin(min(1.0, np.sqrt(square / 8)))
+
+
+@compiled
+def angles_between(rotations, targets, angles):
+    """Compute the `angles` (n,) between rotation matrices (n, 9), rad."""
+    for i in range(len(angles)):
+        angles[i] = angle_between(rotations[i], targets[i])
 
 
 @compiled
@@ -279,6 +305,9 @@ def sample(buffers, samples, target_query, world, tick_number):
         target_query.positions[tick_number, world, axis] = buffers.positions[target_query.body, axis]
     target = target_query.targets[min(tick_number, len(target_query.targets) - 1), world]
     distance = distance_as_observed(buffers.positions[target_query.body], target)
+    if len(target_query.rotations):
+        angle = angle_between(buffers.rotations[target_query.body], target_query.rotations[world])
+        distance = max(distance, target_query.lever * angle)
     target_query.distances[tick_number, world] = distance
     return distance <= target_query.tolerance
 

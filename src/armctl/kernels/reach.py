@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.arrays import Array
-from armctl.kernels.arm import linearise, tips, workspace
+from armctl.kernels.arm import cross, linearise, tips, turned, workspace
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.drives import min_time
 
@@ -22,6 +22,8 @@ NO_GAIN = 1e-9
 """m/rad: a joint that brings the end-effector nearer by less only turns it on the spot, and goes back to its start."""
 AIM = 0.9
 """Fraction of the radius: a straight move aims at the sphere's nearest point at this distance from its centre."""
+BESIDE = 0.01
+"""Share of the way to its start by which a configuration is moved off a pose: there, all directions lead away."""
 TIP_SPEED = 1.0
 """m/s: speed at which the end-effector is assumed to cover the remaining distance to a sphere."""
 
@@ -99,6 +101,51 @@ def approach(joints, q, centres, iterations):
 
 
 @compiled
+def approach_rates(joints, q, centre, memory, rates):
+    """Compute how fast each motor brings the end-effector nearer to `centre`, (dof,) m/rad; return the distance, m.
+
+    A centre is a position (3,), or a pose (12,): the position, and the three axes, scaled. So are distances.
+    """
+    tip, gradients = linearise(joints, q, memory)
+    x, y, z = centre[0] - tip[0], centre[1] - tip[1], centre[2] - tip[2]
+    square = x * x + y * y + z * z
+    twist = np.zeros(3)
+    if len(centre) > 3:
+        square += missing_turn(joints, memory[0], centre, twist)
+    distance = math.sqrt(square) + 1e-12
+    for k in range(len(rates)):
+        rates[k] = (gradients[k, 0] * x + gradients[k, 1] * y + gradients[k, 2] * z) / distance
+    if len(centre) > 3:
+        axes = memory[2]
+        for k in range(len(joints)):
+            if not joints[k].slides:
+                turn = axes[k, 0] * twist[0] + axes[k, 1] * twist[1] + axes[k, 2] * twist[2]
+                rates[joints[k].motor] += joints[k].ratio * turn / distance
+    return distance
+
+
+@compiled
+def missing_turn(joints, rotations, centre, twist):
+    """Return the squared distance of the end-effector's scaled axes from those of a pose `centre` (12,), m^2.
+
+    `twist` (3,) becomes half its descent by rotations about the base's axes, m^2/rad.
+    """
+    last, square = len(joints) - 1, 0.0
+    axis, target_axis, product = np.empty(3), np.empty(3), np.empty(3)
+    scale = math.sqrt(centre[3] ** 2 + centre[4] ** 2 + centre[5] ** 2)
+    for column in range(3):
+        turned(rotations[last], joints[last].tip_rotation[:, column], axis)
+        for i in range(3):
+            axis[i] *= scale
+            target_axis[i] = centre[3 + 3 * column + i]
+            square += (target_axis[i] - axis[i]) ** 2
+        cross(axis, target_axis, product)
+        for i in range(3):
+            twist[i] += product[i]
+    return square
+
+
+@compiled
 def step_into_sphere(joints, q, start, centre, radius, max_step, memory, step):
     """Solve one linear program at q (dof,): the step (dof,) into the sphere that takes the least time.
 
@@ -107,12 +154,8 @@ def step_into_sphere(joints, q, start, centre, radius, max_step, memory, step):
     """
     dof = len(q)
     position, velocity = start
-    tip, gradients = linearise(joints, q, memory)
-    x, y, z = centre[0] - tip[0], centre[1] - tip[1], centre[2] - tip[2]
-    distance = math.sqrt(x * x + y * y + z * z) + 1e-12
     gain = np.empty(dof)
-    for k in range(dof):
-        gain[k] = (gradients[k, 0] * x + gradients[k, 1] * y + gradients[k, 2] * z) / distance
+    distance = approach_rates(joints, q, centre, memory, gain)
     arrival = min_time(joints, position, velocity, q)
     needed, time = distance - radius + INSIDE, arrival
     for _ in range(2):
@@ -142,7 +185,8 @@ def refine(joints, q, starts, centres, radius, velocities, max_steps, times):
     """Improve q (n, dof) by linear programs with joint steps up to `max_steps` (m,) rad, each in its sphere.
 
     In place, q becomes the best that was met in the sphere, and `times` (n,) when it is reached: infinite if none was.
-    Its sphere is around `centres` (n, 3), and arms move from `starts` with `velocities`, (n, dof) each.
+    Its sphere is around `centres`, (n, 3) or (n, 12): see `approach_rates`. Arms move from `starts` with `velocities`,
+    (n, dof) each.
     """
     dof = q.shape[1]
     memory, step, at = workspace(joints), np.empty(dof), np.empty(dof)
@@ -230,4 +274,35 @@ def min_times_into_spheres(joints, q, velocities, spheres, radius, iterations, m
             shortest = min(shortest, time + remaining_time(at, radius))
             for k in range(dof):
                 goal[0, k] += step[k]
+        times[i] = shortest
+
+
+@compiled
+def min_times_to_poses(joints, q, velocities, centres, radius, goals, max_steps, times):
+    """Compute the `times` (m,) s from q (m, dof) with `velocities` to poses `centres` (m, 12), within `radius` (m).
+
+    Each has configurations `goals` (m, k, dof) rad, the last of which may be missing: NaN.
+    """
+    dof = q.shape[1]
+    memory, goal, turned_goal, step = workspace(joints), np.empty(dof), np.empty(dof), np.empty(dof)
+    for i in range(len(q)):
+        start = Start(q[i], velocities[i])
+        if approach_rates(joints, q[i], centres[i], memory, step) <= radius:
+            times[i] = 0.0
+            continue
+        shortest = np.inf
+        for g in range(goals.shape[1]):
+            if math.isnan(goals[i, g, 0]):
+                break
+            nearest_turn(joints, goals[i, g], q[i], turned_goal)
+            time = min_time(joints, q[i], velocities[i], turned_goal)
+            if time < shortest:
+                shortest = time
+                for k in range(dof):
+                    goal[k] = turned_goal[k] + BESIDE * (q[i, k] - turned_goal[k])
+        for max_step in max_steps:
+            time, at = step_into_sphere(joints, goal, start, centres[i], radius, max_step, memory, step)
+            shortest = min(shortest, time + remaining_time(at, radius))
+            for k in range(dof):
+                goal[k] += step[k]
         times[i] = shortest

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from armctl.kinematics.edge_checker import ArmShapes, EdgeChecker
     from armctl.kinematics.ik import Ik, IkOptions, IkResult
     from armctl.kinematics.imagined import ImaginedArms
+    from armctl.kinematics.minimum_time_pose import MinimumTimePose
     from armctl.kinematics.minimum_time_reach import (
         THOROUGH,
         MinimumTimeReach,
@@ -30,6 +31,7 @@ __all__ = [
     "IkOptions",
     "IkResult",
     "ImaginedArms",
+    "MinimumTimePose",
     "MinimumTimeReach",
     "MinimumTimeReachOptions",
     "ReachGoal",

@@ -187,6 +187,16 @@ class Ik:
             q, approximate = self._six_joints(pose)
             yield q[~approximate]
 
+    def exact(self, pose: Array) -> Array | None:
+        """Return the closed form's configurations (k, dof) for a pose (4, 4), in collision or not, near home.
+
+        None if the arm has no closed form that the core of armctl installs.
+        """
+        if self._six_joints is None:
+            return None
+        q, approximate = self._six_joints(pose)
+        return self.model.nearest_turn(q[~approximate], self.model.home)
+
     def _reaches_own_positions(self) -> bool:
         """Return True if `configurations` finds most of some positions where the arm can be."""
         positions = self.model.positions(self._random_starts[:OWN_POSITIONS])

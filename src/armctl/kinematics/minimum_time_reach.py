@@ -80,6 +80,22 @@ class MinimumTimeReach:
         self._anywhere = model.random_configurations(rng, self.options.starts - half)
         self._around = rng.uniform(-self.options.spread, self.options.spread, (half, model.dof))
 
+    def place(self, q: Array) -> Array:
+        """Return where the end-effector is at q (dof,), as the search measures distances: (3,) m."""
+        return self.model.position(q)
+
+    def places(self, q: Array) -> Array:
+        """Return the same of q (n, dof): (n, 3) m."""
+        return self.model.positions(q)
+
+    def place_jacobian(self, q: Array) -> Array:
+        """Return the derivative of `place`, (3, dof) m/rad."""
+        return self.model.jacobian(q)[:3]
+
+    def closest(self, centre: Array, q: Array) -> Array:
+        """Return the configuration (dof,) nearest to `q`, in collision or not, whose place is nearest to `centre`."""
+        return self.ik.position(centre, q).closest
+
     def find(self, start: Array, centre: Array, radius: float) -> ReachGoal | None:
         """Return the earliest collision-free goal found from rest at `start` (dof,); if none is free, the earliest.
 
@@ -140,7 +156,8 @@ class MinimumTimeReach:
         """
         q, times = np.array(q, dtype=float), np.empty(len(q))
         count, dof = q.shape
-        starts, centres, velocities = _rows(start, count, dof), _rows(centre, count, 3), _rows(velocity, count, dof)
+        starts, velocities = _rows(start, count, dof), _rows(velocity, count, dof)
+        centres = _rows(centre, count, np.shape(centre)[-1])
         reach.refine(self.model.joints, q, starts, centres, radius, velocities, self._max_steps, times)
         inside = np.isfinite(times)
         return q[inside], times[inside]

@@ -4,7 +4,7 @@ import numpy as np
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.kinematics.ik import Ik
+from armctl.kinematics.ik import Ik, random_orientations
 from armctl.kinematics.model import ArmModel
 
 RANK = 1e-4
@@ -43,6 +43,32 @@ class Workspace:
                 return np.asarray(position)
         raise ConfigurationError(
             f"{self.model.description.name} reaches none of {attempts} positions at {clearance} m from floor and base"
+        )
+
+    def sample_pose(self, rng: np.random.Generator, clearance: float, attempts: int = 1000) -> tuple[Array, Array]:
+        """Draw a reachable pose (4, 4) at least `clearance` (m) from floor and base, and a free configuration in it.
+
+        Position and orientation are uniform over what is reachable. If that fails in `attempts` draws, or the arm has
+        no closed form, it is the pose of a random configuration. Raises `ConfigurationError` if that fails too.
+        """
+        low, high = self.centre - self.radius, self.centre + self.radius
+        low[2] = min(clearance, high[2])
+        pose = np.eye(4)
+        for _ in range(attempts):
+            pose[:3, 3], pose[:3, :3] = rng.uniform(low, high), random_orientations(1, rng)[0]
+            if (q := self.ik.exact(pose)) is None:
+                break
+            q = q[self.model.within_limits(q)]
+            q = q[self.model.are_free(q)]
+            if len(q) and self.model.base_distance(pose[:3, 3]) >= clearance:
+                return pose, q[0]
+        configurations = self.model.random_configurations(rng, attempts)
+        for q in configurations[self.model.are_free(configurations)]:
+            position = self.model.position(q)
+            if position[2] >= low[2] and self.model.base_distance(position) >= clearance:
+                return self.model.pose(q), q
+        raise ConfigurationError(
+            f"{self.model.description.name} reaches none of {attempts} poses at {clearance} m from floor and base"
         )
 
     def reachable(self, position: Array, tolerance: float = 0.0) -> bool:

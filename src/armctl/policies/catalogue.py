@@ -1,7 +1,6 @@
 """Installed policies and tasks as `armctl list` shows them, from cards and declarations: no simulator is loaded."""
 
 import contextlib
-import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from armctl.core.errors import FAILURES, AgentFileError
 from armctl.core.foresight import FORESIGHT
 from armctl.core.registration import installed, load_task
 from armctl.envs.find import is_task
+from armctl.policies.declare import is_made_for
 from armctl.policies.names import GROUP, agent_cards, declared_sees, describe_policy, policy_names
 
 SHORT = {"observation": "observation", "model": "robot model", "map": "map", "state": "true state"}
@@ -78,7 +78,7 @@ def privilege_in(spec: EnvSpec, policy: ListedPolicy) -> str:
 def policies_of(spec: EnvSpec, policies: Sequence[ListedPolicy]) -> list[ListedPolicy]:
     """Return the policies that are made for an environment, those of its default line-up first."""
     order = {name: place for place, name in enumerate(task_values(spec).get("default_policies", ()))}
-    fitting = [policy for policy in policies if fnmatch.fnmatchcase(spec.id, policy.envs)]
+    fitting = [policy for policy in policies if is_made_for(spec.id, policy.envs)]
     return sorted(fitting, key=lambda policy: order.get(policy.name, len(order)))
 
 

@@ -1,5 +1,6 @@
 """Declarations of what policies see, which load nothing."""
 
+import fnmatch
 import functools
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -80,8 +81,8 @@ def made_for(
 ) -> Callable[[Factory], Factory]:
     """Declare, for `armctl list`, for which environments a policy is made, and what it controls there.
 
-    `envs` is an id, or a pattern such as `armctl/ArmReach*`; `controls` are robots and commands, such as `ur5,
-    position`. Both are literal texts, which are read from the source.
+    `envs` is an id, a pattern such as `armctl/ArmReach*`, or several with spaces in between; `controls` are robots and
+    commands, such as `ur5, position`. Both are literal texts, which are read from the source.
     `interface` are options of the environment with which it plays unless others are requested: a `control`, say.
     """
 
@@ -91,6 +92,11 @@ def made_for(
         return factory
 
     return declare
+
+
+def is_made_for(env_id: str, envs: str) -> bool:
+    """Return True if an environment is among the `envs` of `made_for`."""
+    return any(fnmatch.fnmatchcase(env_id, pattern) for pattern in envs.split())
 
 
 def check_sees(privilege: object) -> None:

@@ -126,6 +126,7 @@ class Stepper:
             torques=data.qfrc_actuator,
             sensors=data.sensordata,
             positions=data.xpos,
+            rotations=data.xmat,
             warnings=data.warning.number[_BAD],
             body_positions=(model.body_pos, finer.body_pos),
             world_fields=np.array(rows, dtype=np.intp).reshape(-1, 4),

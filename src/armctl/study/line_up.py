@@ -1,6 +1,5 @@
 """Line-up of a suite: the policies of each task, and its disturbances."""
 
-import fnmatch
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from armctl.policies import (
     make_policy,
     policy_names,
 )
+from armctl.policies.declare import is_made_for
 from armctl.policies.policy import PlaysApart
 from armctl.rollout.construction import build_timed
 from armctl.rollout.loop import environment_limit, wrap_environment_errors
@@ -95,7 +95,7 @@ def _fits(name: str, env: str, worlds: WorldsByInterface) -> bool:
     In an environment of others, also if it is an expert.
     """
     envs, *_ = getattr(load_installed(GROUP, name, "policy"), "made_for", ("*",))
-    if isinstance(worlds.requested, ThirdPartyVectorEnv) and not fnmatch.fnmatchcase(env, envs):
+    if isinstance(worlds.requested, ThirdPartyVectorEnv) and not is_made_for(env, envs):
         return False
     try:
         card = getattr(make_policy(name, worlds.of(name)), "card", None)

@@ -158,6 +158,20 @@ def test_with_hindsight_the_action_brings_the_end_effector_to_the_target():
     assert all(tuple(row) in started for row in observations[:, :9])
 
 
+def test_hindsight_moves_the_orientation_of_a_pose_too():
+    from armctl.kinematics import ArmModel
+
+    env = make_worlds("armctl/ArmPose-v0", 3, {})
+    examples = Examples(env.task, 1.0)
+    examples.add([episode for _, episode in demonstrate(make_policy("reach_ik", env), env, 6, 0)])
+    observations, actions = (part.numpy() for part in examples.draw(np.random.default_rng(0), 50))
+    model = ArmModel(env.task.arm.description)
+    poses = np.array([model.pose(q) for q in actions.astype(float)])
+    np.testing.assert_allclose(poses[:, :3, 3], observations[:, 9:12], atol=1e-4)
+    axes = np.concatenate((poses[:, :3, 0], poses[:, :3, 1]), axis=1)
+    np.testing.assert_allclose(axes, observations[:, 18:], atol=1e-4)
+
+
 def test_hindsight_is_for_positions_and_targets_at_rest():
     for name, expected in (("ur5", 0.5), ("obstacles", 0.5), ("delta", 0.0), ("moving", 0.0), ("bridge", 0.0)):
         env, options = WORLDS[name]

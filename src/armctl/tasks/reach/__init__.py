@@ -9,13 +9,15 @@ if TYPE_CHECKING:
     from armctl.tasks.reach.observation import OBSERVATION, observation_sizes, observation_slices
     from armctl.tasks.reach.obstacles import ObstaclesReachState, ReachObstaclesOptions, ReachObstaclesTask, read_boxes
     from armctl.tasks.reach.options import ReachOptions
+    from armctl.tasks.reach.pose import PoseReachState, ReachPoseOptions, ReachPoseTask
     from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
     from armctl.tasks.reach.state import REWARD, ReachState
 
 __all__ = [
-    "CONTROL_PERIOD", "OBSERVATION", "REWARD", "MovingReachState", "ObstaclesReachState", "ReachMovingOptions",
-    "ReachMovingTask", "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions", "ReachOutcome", "ReachState",
-    "ReachTask", "observation_sizes", "observation_slices", "read_boxes",
+    "CONTROL_PERIOD", "OBSERVATION", "REWARD", "MovingReachState", "ObstaclesReachState", "PoseReachState",
+    "ReachMovingOptions", "ReachMovingTask", "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions",
+    "ReachOutcome", "ReachPoseOptions", "ReachPoseTask", "ReachState", "ReachTask", "observation_sizes",
+    "observation_slices", "read_boxes",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

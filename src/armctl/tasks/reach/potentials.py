@@ -6,7 +6,8 @@ import numpy as np
 
 from armctl import control, planning
 from armctl.core.arrays import Array
-from armctl.kinematics import ArmModel, ReachabilityMap, ReachTimes, ReachTimesOptions, Spheres
+from armctl.kinematics import ArmModel, MinimumTimePose, ReachabilityMap, ReachTimes, ReachTimesOptions, Spheres
+from armctl.kinematics.minimum_time_pose import BRANCHES
 from armctl.tasks.task import Ids, Potential
 
 QUICK = ReachTimesOptions(nearby=64, goals=8, iterations=1)
@@ -50,6 +51,34 @@ class MinimumTimeToMovingTarget(MinimumTime):
     """The same with less effort, since a moving target is looked up at every control step."""
 
     effort = QUICK
+
+
+class MinimumTimeToPose(Potential):
+    """Minus the least time in which the end-effector can reach the target's pose, over all IK branches, s.
+
+    Branches in collision are left out. The tolerance is that of `MinimumTimePose`, within the task's.
+    """
+
+    def __init__(self, task: Any) -> None:
+        super().__init__(task)
+        self._search = MinimumTimePose(ArmModel(task.arm.description), task.lever)
+        n, dof = task.state.joint_positions.shape
+        self._goals, self._centres = np.full((n, BRANCHES + 1, dof), np.nan), np.zeros((n, 12))
+
+    def begin(self, ids: Ids) -> None:
+        """Compute the configurations in the targets' poses."""
+        state, home = self.task.state, self._search.model.home
+        self._centres[ids] = self._search.centre(state.target_position[ids], state.target_axes[ids])
+        for i in ids:
+            branches = self._search.at_centre(home, self._centres[i])
+            self._goals[i] = np.nan
+            self._goals[i, : len(branches) + 1] = (self.task.certificates[i], *branches)
+
+    def potentials(self, ids: Ids) -> Array:
+        """Return (len(ids),) s."""
+        state, radius = self.task.state, self.task.options.tolerance
+        centres, goals = self._centres[ids], self._goals[ids]
+        return -self._search.times(state.joint_positions[ids], state.joint_velocities[ids], centres, radius, goals)
 
 
 class MpcCost(Potential):
