@@ -7,6 +7,8 @@
 # For some of the tests: make test ARGS="tests/kinematics -k jacobian"
 
 PYTHON ?= python3
+# As the comment below counts on it. Where this is set, each start of armctl compiles all that it imports, and takes twice as long.
+unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv
 BIN := $(VENV)/bin
 # Python compiles what is imported, when it is; pip would compile all of 34,000 files, for half of an installation's time.
@@ -17,7 +19,9 @@ NAMED = { $(INSTALL) --progress-bar off --constraint constraints.txt $(1); \
   echo $$? > $(VENV)/status; } | sed -u -n 's/^Collecting \([^ ]*\).*/  \1/p; s/^Installing collected.*/  unpacking: minutes/p'; \
   exit $$(cat $(VENV)/status)
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
-COVERED := tests/stats tests/verdict tests/study tests/report/test_tables.py
+# Tests of what is measured: a third slower so, hence without those that kill, fill disks and reproduce.
+COVERED := tests/stats tests/verdict tests/report/test_tables.py $(patsubst %,tests/study/test_%.py, \
+  compare groups pairs sample_size spared suite sweep sweep_by_return task_verdict until_decided)
 MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
 UV := $(BIN)/uv --quiet
 COMMA := ,
