@@ -21,7 +21,7 @@ NAMED = { $(INSTALL) --progress-bar off --constraint constraints.txt $(1); \
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 # Tests of what is measured: a third slower so, hence without those that kill, fill disks and reproduce.
 COVERED := tests/stats tests/verdict tests/report/test_tables.py $(patsubst %,tests/study/test_%.py, \
-  compare groups pairs sample_size spared suite sweep sweep_by_return task_verdict until_decided)
+  compare groups pairs sample_size spared suite sweep sweep_by_return task_verdict until_decided worst_case)
 MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
 UV := $(BIN)/uv --quiet
 COMMA := ,

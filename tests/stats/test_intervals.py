@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from armctl.stats.intervals import (
+    GROUPS,
     Estimate,
     bounded_mean,
+    grouped,
     mean_of_means,
     median,
     paired_superiority,
@@ -146,3 +148,15 @@ def test_performance_ratios_of_dolan_and_more():
     solved = performance_profile(-ratios["a"], np.array([-1e9, -1.2]))  # in the end, and at most 1.2 times the best
     assert [point.value for point in solved] == pytest.approx([2 / 3, 1 / 3])
     assert np.isinf(performance_ratios({"a": np.array([np.inf]), "b": np.array([np.inf])})["a"]).all()
+
+
+def test_groups_of_many_values_keep_mean_and_counts_and_span_a_thousandth_of_the_range():
+    rng = np.random.default_rng(0)
+    values, counts = np.sort(rng.exponential(size=30_000)), rng.integers(1, 4, 30_000)
+    means, sizes = grouped(values, counts)
+    assert len(means) <= GROUPS + 1
+    assert (sizes.sum(), sizes @ means) == (counts.sum(), pytest.approx(counts @ values))
+    last = np.searchsorted(np.cumsum(counts), np.cumsum(sizes))
+    first = np.append(0, last[:-1] + 1)
+    assert (values[last] - values[first]).max() <= 1e-3 * (values[-1] - values[0])
+    assert grouped(values[:9_000], counts[:9_000]) == (pytest.approx(values[:9_000]), pytest.approx(counts[:9_000]))

@@ -1,5 +1,8 @@
 """The figures of a summary are those of the rows that it summarises."""
 
+import dataclasses
+import math
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,8 @@ import armctl
 from armctl.stats.intervals import bounded_mean, success_rate, worst_decile
 from armctl.stats.trainings import mean_over_trainings
 from armctl.verdict.scores import WITHIN_RANGE, WITHIN_SPEED
+
+from .made_up_verdicts import summary_of
 
 LIMIT = 100
 
@@ -52,3 +57,17 @@ def test_figures_of_a_group_are_over_its_trainings(comparison):
         ("restricted_steps", (1.0, LIMIT), [rows.length.where(rows.success, LIMIT) for rows in by_training]),
     ):
         assert getattr(found, name) == mean_over_trainings(np.array(values, dtype=float), bounds).mean
+
+
+def test_filters_processes_of_policies_and_unknown_times_are_told():
+    plain = summary_of("mine", np.ones(4, dtype=bool))
+    filtered = dataclasses.replace(plain, intervention_share=0.0213, intervention_size=0.05)
+    assert filtered.interventions == [
+        "safety filter: action changed in 2.1 % of the control steps, by 5 % of its range"
+    ]
+    (apart,) = dataclasses.replace(plain, isolated=True, transport_ms=0.31).isolation
+    assert apart == "isolated: decision times as measured in its own process, without 0.31 ms of transport"
+    assert (plain.interventions, dataclasses.replace(plain, isolated=False).isolation) == ([], [])
+    rounded = dataclasses.replace(plain, decision_ms_p99=math.nan)
+    assert (rounded.decision_time, plain.decision_time) == ("0.25 ms", "0.25 ms (99th percentile 0.5 ms)")
+    assert dataclasses.replace(plain, decision_ms_p50=math.nan).decision_time == "unknown"
