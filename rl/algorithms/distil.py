@@ -3,11 +3,16 @@
 The student acts, and the teacher, who may see more, labels each state that it gets into, as in DAgger (Ross, Gordon and
 Bagnell, AISTATS 2011); what the student does not see it has to infer from what it remembers (Lee et al., Learning
 quadrupedal locomotion over challenging terrain, Science Robotics 2020). The student learns from the last control steps,
-through which gradients flow back (truncated backpropagation through time), and then forgets their labels.
+through which gradients flow back (truncated backpropagation through time), and then forgets their labels. It may start
+from an agent that was distilled before, for an easier task or from other features of the same number.
+
+Under disturbances, the teacher sees none of them: it labels undisturbed observations or the true state. Where actions
+are late, the label of an observation is the teacher's action in the state in which the student's will arrive.
 """
 
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,17 +21,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 from tqdm import tqdm
 
-from armctl.agents import AgentCard
+from armctl.agents import AgentCard, OnnxPolicy
 from armctl.core.arrays import map_arrays
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, options
 from armctl.envs import make_worlds
-from armctl.policies import Policy
+from armctl.policies import Policy, make_policy
 from armctl.rl.algorithms.cloning import LAST_RATE
 from armctl.rl.data.demonstrations import teacher_in
 from armctl.rl.networks.actor import Actor, tensors
 from armctl.rl.networks.onnx_graph import initial_memory
-from armctl.rl.networks.recurrent import RecurrentNetwork
+from armctl.rl.networks.recurrent import RecurrentNetwork, copy_weights
 from armctl.rl.networks.view import Features
 from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.learner import learner
@@ -58,6 +63,8 @@ class DistilOptions(TrainingOptions):
     decays linearly from 1."""
     largest_gradient: Positive = 1.0
     """Norm to which gradients are clipped."""
+    start: str | None = None
+    """Agent from whose weights the student starts, trained by distil with the same sizes; None: random weights."""
     features: Features = "invariant"
     evaluation_every: Count = 100_000
 
@@ -92,6 +99,10 @@ class Student:
             view.extractor(space), hidden_units=options.hidden_units, layers=options.layers,
             memory_units=options.memory_units, actions=training.held_out.single_action_space.shape[0],
         )  # fmt: skip
+        if options.start is not None:
+            start = make_policy(options.start, training.held_out)
+            numbers = start.numbers if isinstance(start, OnnxPolicy) else {}
+            copy_weights(self.network, {name: torch.tensor(values) for name, values in numbers.items()})
         self.actor = Actor(self.network, view.action_scale, space, self.network.memory)
         self._optimizer = torch.optim.Adam(self.network.parameters())
         training.meter.watch(self._optimizer)
@@ -138,6 +149,23 @@ class Student:
         self.training.logger.record("train/loss", loss.item())
 
 
+@dataclass
+class LabelledStep:
+    """A control step in n worlds."""
+
+    observations: Any
+    labels: torch.Tensor
+    """(n, k) actions of the teacher in the present states."""
+    ongoing: torch.Tensor
+    """(n, 1): True where the episode goes on."""
+    delays: torch.Tensor
+    """(n,) control steps after which the student's actions arrive."""
+    targets: torch.Tensor = field(init=False)
+    """(n, k) actions of the network for the labels of the states in which the student's actions arrive."""
+    is_labelled: torch.Tensor = field(init=False)
+    """(n,): False where an episode, or the batch, ends before the action arrives."""
+
+
 class DistillationBatch:
     """A student's episodes in worlds with autoreset, labelled by a teacher who is in the same worlds."""
 
@@ -154,6 +182,8 @@ class DistillationBatch:
         self._initial_memory = self._memory
         with torch.no_grad():
             self._steps = [self._step() for _ in range(self._student.options.length)]
+        for t in range(len(self._steps)):
+            self._label(t)
 
     def minibatches(self, epochs: int, count: int) -> Iterator[NDArray[np.intp]]:
         """Yield all worlds in `count` random groups, other ones in each epoch."""
@@ -163,25 +193,39 @@ class DistillationBatch:
     def loss(self, rows: NDArray[np.intp]) -> torch.Tensor:
         """Return the mean squared difference to the labels in some worlds, in the network's unit."""
         memory, losses = [remembered[rows] for remembered in self._initial_memory], []
-        for observations, targets, ongoing in self._steps:
-            selected = map_arrays(lambda values: values[rows], observations)
+        for step in self._steps:
+            selected = map_arrays(lambda values: values[rows], step.observations)
             actions, *memory = self._student.network(selected, *memory)
-            memory = [remembered * ongoing[rows] for remembered in memory]
-            losses.append((actions - targets[rows]).square().mean())
+            memory = [remembered * step.ongoing[rows] for remembered in memory]
+            errors = (actions - step.targets[rows]).square().mean(dim=1)
+            losses.append((errors * step.is_labelled[rows]).mean())
         return torch.stack(losses).mean()
 
-    def _step(self) -> tuple[Any, torch.Tensor, torch.Tensor]:
-        """Make a control step. Returns what was observed, the network's actions for the labels, and who goes on."""
-        student, observations = self._student, tensors(self._observations)
-        scale = student.actor.scale
+    def _step(self) -> "LabelledStep":
+        """Make a control step."""
+        student, observations, envs = self._student, tensors(self._observations), self._envs.unwrapped
         actions, *self._memory = student.network(observations, *self._memory)
         labels = self._teacher.act(self._observations)
         student.training.meter.add(teacher_queries=len(labels))
-        targets = scale.inverse(observations, torch.as_tensor(labels, dtype=torch.float32))
-        done = self._act(scale(observations, actions).numpy(), labels)
+        delay = envs.disturbances.get("delay")
+        delays = np.zeros(len(labels)) if delay is None else delay.levels.copy()
+        done = self._act(student.actor.scale(observations, actions).numpy(), labels)
         ongoing = torch.as_tensor(~done)[:, None]
         self._memory = [remembered * ongoing for remembered in self._memory]
-        return observations, targets, ongoing
+        labels = torch.as_tensor(labels, dtype=torch.float32)
+        return LabelledStep(observations, labels, ongoing, torch.as_tensor(delays))
+
+    def _label(self, t: int) -> None:
+        """Give step t its labels: where actions are late, those of the step in which they arrive."""
+        step, *later_steps = self._steps[t:]
+        scale, ongoing = self._student.actor.scale, step.ongoing[:, 0]
+        step.targets, step.is_labelled = scale.inverse(step.observations, step.labels), step.delays == 0
+        for delay, later in enumerate(later_steps[: int(step.delays.max())], start=1):
+            arrives = (step.delays == delay) & ongoing
+            targets = scale.inverse(step.observations, later.labels)
+            step.targets = torch.where(arrives[:, None], targets, step.targets)
+            step.is_labelled = step.is_labelled | arrives
+            ongoing = ongoing & later.ongoing[:, 0]
 
     def _act(self, actions: NDArray[Any], labels: NDArray[Any]) -> NDArray[np.bool_]:
         """Take the student's actions (n, k), or the teacher's, and return whose episode is done, (n,)."""

@@ -20,7 +20,7 @@ from armctl.policies import make_policy
 from armctl.rl.algorithms.anchored_ppo import AnchoredPpo, AnchoredPpoOptions, improve
 from armctl.rl.algorithms.asymmetric import AsymmetricVectorEnv
 from armctl.rl.networks.encoder import Encoder
-from armctl.rl.networks.recurrent import MEMORY, RecurrentNetwork
+from armctl.rl.networks.recurrent import MEMORY, RecurrentNetwork, copy_weights
 from armctl.rl.networks.view import View
 from armctl.rl.run.learner import learner
 from armctl.rl.run.training import Training
@@ -98,14 +98,7 @@ class FrozenRecurrentEncoder(Encoder):
         self._sizes, self._weights = sizes, weights
         self.network = RecurrentNetwork(view.extractor(observation_space), **sizes)
         self.network.requires_grad_(False)
-        for name, parameter in self.network.named_parameters():
-            values = weights.get(f"network.{name}")
-            if values is None or values.shape != parameter.shape:
-                raise ConfigurationError(
-                    f"distilled_ppo starts from an agent as distil trains it, with weights network.{name} of shape "
-                    f"{tuple(parameter.shape)}: this one has none"
-                )
-            parameter.copy_(values)
+        copy_weights(self.network, weights)
         self.memory = self.network.memory
         self.space = gymnasium.spaces.Box(-np.inf, np.inf, (sizes["hidden_units"] + sizes["memory_units"],), np.float32)
 

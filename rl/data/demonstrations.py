@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from armctl.core.arrays import map_arrays
@@ -131,17 +132,31 @@ class Teacher:
         return [episode for _, episode in in_order]
 
 
+class UndisturbedPolicy:
+    """A policy that acts on the observations of `env` as they are without disturbances."""
+
+    training_steps = 0
+
+    def __init__(self, policy: Policy, env: TaskVectorEnv) -> None:
+        self.sees, self.reset, self._policy, self._task = policy.sees, policy.reset, policy, env.task
+
+    def act(self, observations: Any) -> NDArray[Any]:
+        """Return actions (n, ...) for the present observations without disturbances."""
+        return self._policy.act(self._task.observe())
+
+
 def teacher_in(envs: TaskVectorEnv, recipe: Recipe, policy_seed: int) -> Policy:
     """Return the recipe's teacher in these worlds. An agent that was trained to see the state sees theirs.
 
-    `policy_seed` determines its random numbers.
+    `policy_seed` determines its random numbers. No disturbance reaches the observations on which the teacher acts.
 
     Raises `ConfigurationError` for a recipe without a teacher, and what `armctl.make_policy` raises.
     """
     teacher = _teacher_of(recipe)
     card = card_of(teacher)
     if card is None or card.sees != "state" or envs.task.state_space is None:
-        return make_policy(teacher, envs, policy_seed=policy_seed)
+        policy = make_policy(teacher, envs, policy_seed=policy_seed)
+        return UndisturbedPolicy(policy, envs) if envs.disturbances else policy
     with state_observing_env(envs) as single_env:
         return StateObservingAgent(make_policy(teacher, single_env, policy_seed=policy_seed), envs)
 

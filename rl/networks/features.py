@@ -13,7 +13,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 
 from armctl.core.errors import unknown_name
 from armctl.core.registration import import_attribute
-from armctl.rl.networks.bridge_ranges import ColumnRanges, NearnessFeatures
+from armctl.rl.networks.bridge_ranges import ColumnRanges, FloorRanges, HeldNearnessFeatures, NearnessFeatures
 from armctl.rl.networks.bridge_scans import Surroundings
 from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, rotated
 from armctl.rl.networks.link_box_features import LinkBoxFeatures
@@ -117,11 +117,12 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "base_yaw_invariant": BaseYawInvariantFeatures,
     "links_among_boxes": LinkBoxFeatures,
     "nearness": NearnessFeatures,
+    "held_nearness": HeldNearnessFeatures,
     "surroundings": Surroundings,
 }
 
 
-PREPARATIONS: dict[str, type[torch.nn.Module]] = {"column_ranges": ColumnRanges}
+PREPARATIONS: dict[str, type[torch.nn.Module]] = {"column_ranges": ColumnRanges, "floor_ranges": FloorRanges}
 
 
 def preparation_by_name(name: str) -> type[torch.nn.Module]:

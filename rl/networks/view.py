@@ -17,7 +17,9 @@ from armctl.envs import TaskVectorEnv
 from armctl.rl.networks.actor import tensors
 from armctl.rl.networks.features import features_by_name, preparation_by_name
 
-Features = Literal["none", "plain", "invariant", "model"]
+Features = Literal["none", "plain", "invariant", "model", "robust"]
+MISSING = {"model": "that know the robot's geometry", "robust": "that sensor noise hardly changes"}
+"""Descriptions of features that a task may lack."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class _PreparedFirst(BaseFeaturesExtractor):
     ) -> None:
         super().__init__(observation_space, features.features_dim)
         self.prepare, self.features = prepare, features
+        self.image_size = getattr(features, "image_size", 0)
 
     def forward(self, observations: Any) -> torch.Tensor:
         return self.features(self.prepare(observations))
@@ -72,8 +75,9 @@ def view_of(env: TaskVectorEnv, *, features: Features = "plain", relative: bool 
     """Return the view of a task.
 
     `features`: `none` for the bare observation, `plain` for the task's features, `invariant` for features that are
-    invariant under the task's symmetries, if it has any, `model` for those that know the robot's geometry. `relative`:
-    actions are relative to a part of the observation, if the task allows it.
+    invariant under the task's symmetries, if it has any, `model` for those that know the robot's geometry, `robust` for
+    those that sensor noise hardly changes. `relative`: actions are relative to a part of the observation, if the task
+    allows it.
 
     Raises `ConfigurationError` for an observation or features that learners of this task cannot use.
     """
@@ -83,9 +87,10 @@ def view_of(env: TaskVectorEnv, *, features: Features = "plain", relative: bool 
         "plain": declared.features,
         "invariant": declared.invariant_features or declared.features,
         "model": declared.model_features,
+        "robust": declared.robust_features,
     }[features]
-    if features == "model" and chosen is None:
-        raise ConfigurationError("this task has no features that know the robot's geometry: choose others")
+    if features in MISSING and chosen is None:
+        raise ConfigurationError(f"this task has no features {MISSING[features]}: choose others")
     extractor = features_by_name(chosen.name if chosen else None, env.single_observation_space)
     prepare = None
     if chosen and chosen.prepare:

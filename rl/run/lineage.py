@@ -17,17 +17,21 @@ from armctl.training.trials import TRIALS, read_trials
 
 
 def lineage_of(recipe: Recipe, options: Any, envs: EpisodeVectorEnv) -> list[Ancestor]:
-    """Return all networks and experts that a training learns from, each once: by its teacher, or a dataset's policy.
+    """Return all networks and experts that a training learns from, each once.
 
-    `envs` are of the recipe's environment. Raises `ConfigurationError` for a teacher that cannot be made there.
+    It learns from its teacher, or a dataset's policy, and from the agent from whose weights it starts. `envs` are of
+    the recipe's environment. Raises `ConfigurationError` for a teacher that cannot be made there.
     """
-    dataset = getattr(options, "dataset", None)
+    dataset, start = getattr(options, "dataset", None), getattr(options, "start", None)
     teacher = recipe.teacher if dataset is None else policy_of(dataset)
-    if teacher is None:
-        return []
+    policies = [policy for policy in (teacher, start) if policy is not None]
+    return distinct([line for policy in policies for line in _line_of(policy, dataset is not None, envs)])
+
+
+def _line_of(teacher: str, is_recorded: bool, envs: EpisodeVectorEnv) -> list[Ancestor]:
     if (card := card_of(teacher)) is not None:
         return ancestors(teacher, card)
-    if dataset is not None and teacher not in policy_names():
+    if is_recorded and teacher not in policy_names():
         return [Ancestor(name=teacher, cost=TrainingCost())]
     policy = make_policy(teacher, envs)
     if (card := getattr(policy, "card", None)) is not None:

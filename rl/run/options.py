@@ -1,6 +1,6 @@
 """Options that learners share."""
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, Share, options
@@ -26,11 +26,14 @@ class TrainingOptions:
     """Reference of an arm's position commands: the observed joint positions, or else zero."""
     features: Features = "plain"
     """Input of the network: the bare observation (`none`), the task's features (`plain`), or features that are
-    invariant under rotations of the scene (`invariant`) or know the robot's geometry (`model`), if the task has any."""
+    invariant under rotations of the scene (`invariant`), know the robot's geometry (`model`) or are hardly changed by
+    sensor noise (`robust`), if the task has any."""
     evaluation_every: Count = 250_000
     """Steps between two evaluations on held-out episodes, each with a checkpoint."""
     validation_episodes: Count = 100
     """Episodes of each of these evaluations."""
+    keeps: Literal["best", "last"] = "best"
+    """Version that becomes the agent: the best one in these episodes, which have no disturbances, or the last one."""
     evaluation_episodes: Count = 1000
     """Development episodes of the final evaluation, which goes on the card."""
 

@@ -170,7 +170,7 @@ class Training:
             "return": mean_return,
             **{name: self.meter.read()[name] for name in COSTS},
         }
-        best = self._best()
+        best = None if self.options.keeps == "last" else self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
             write_atomically(self.out / "best.pt", torch_bytes({**row, "actor": actor.state_dict()}))
         curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int, "decisions": "Int64"})

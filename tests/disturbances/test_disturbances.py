@@ -246,6 +246,14 @@ def test_lost_pictures_are_black_and_of_the_share_asked_for():
     assert (lost.any(axis=0) & ~lost.all(axis=0)).sum() > 40
 
 
+def test_lost_pictures_have_no_ranges():
+    worse = worlds(BRIDGE, 40, {"dropout": 0.3}, observation="ranges", dynamics="kinematic")
+    ranges = worse.step(np.full((40, 2), 0.2))[0]["ranges"]
+    lost = (ranges == 0).all(axis=1)
+    assert 2 < lost.sum() < 25
+    assert (ranges[~lost] > 0).all()
+
+
 def test_a_mismatched_arm_is_not_what_controllers_believe_it_is():
     env, plain = worlds(n=2, disturbances={"mismatch": 0.1}), worlds(n=2)
     description = env.task.arm.description

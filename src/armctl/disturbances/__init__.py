@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.disturbances.disturbance import Disturbable, Disturbance, DisturbanceSpec, LevelRange
 from armctl.disturbances.fields import JointFriction, LinkMismatch, Payload, Slipperiness, Strength, WheelMismatch
-from armctl.disturbances.signals import Delay, Dropout, Noise, Pushes, StateNoise
+from armctl.disturbances.signals import IMAGES, Delay, Dropout, Noise, Pushes, StateNoise
 
 __all__ = [
     "ARM", "GENERIC", "ROVER", "Delay", "Disturbable", "Disturbance", "DisturbanceSpec", "Dropout", "JointFriction",
@@ -33,7 +33,7 @@ throw a rover about at 8 m/s, four times as fast as it drives."""
 
 def _has_camera(task: Disturbable) -> bool:
     space = task.observation_space
-    return isinstance(space, gymnasium.spaces.Dict) and "image" in space.spaces
+    return isinstance(space, gymnasium.spaces.Dict) and not space.spaces.keys().isdisjoint(IMAGES)
 
 
 def _observes_real_numbers(task: Disturbable) -> bool:

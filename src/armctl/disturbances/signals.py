@@ -11,6 +11,8 @@ from armctl.disturbances.disturbance import Channel, Disturbable, Disturbance
 
 PUSH_INTERVAL = 1.0
 """s between two pushes, on average."""
+IMAGES = ("image", "ranges")
+"""Parts of observations that are a camera's image, or what is left of it."""
 
 
 class Noise(Disturbance):
@@ -90,7 +92,7 @@ class StateNoise(Noise):
 
 
 class Dropout(Disturbance):
-    """Replaces camera images by black ones (all 0), each with probability `level`."""
+    """Replaces camera images, or ranges in their place, by black ones (all 0), each with probability `level`."""
 
     per_episode = True
 
@@ -111,8 +113,12 @@ class Dropout(Disturbance):
     def observe(self, observations: Observations, ids: NDArray[np.int32] | slice) -> Observations:
         """Return observations with lost images black."""
         assert isinstance(observations, dict)
-        lost = self._lost[ids][:, *[None] * (observations["image"].ndim - 1)]
-        return observations | {"image": np.where(lost, np.zeros_like(observations["image"]), observations["image"])}
+        lost = self._lost[ids]
+        images = {name: values for name, values in observations.items() if name in IMAGES}
+        return observations | {
+            name: np.where(lost.reshape(-1, *[1] * (values.ndim - 1)), np.zeros_like(values), values)
+            for name, values in images.items()
+        }
 
 
 class Delay(Disturbance):

@@ -32,5 +32,7 @@ class LearnerView:
     """Features that are invariant under the task's symmetries, if it has any."""
     model_features: FeatureSpec | None = None
     """Features that know the robot's geometry, if there are any: an agent with them sees the robot's model."""
+    robust_features: FeatureSpec | None = None
+    """Features that noise and lost images hardly change, if there are any."""
     state_features: FeatureSpec | None = None
     """Function of the state for a privileged critic, without `prepare`; None: its numbers as shares of their bounds."""

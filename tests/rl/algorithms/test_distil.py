@@ -178,6 +178,44 @@ def test_the_teacher_acts_at_first(mixed_steps, share, tmp_path, monkeypatch):
     assert np.isin(taken, (0.5, -0.5)).mean() == share
 
 
+def test_labels_of_late_actions_are_those_of_the_states_in_which_they_arrive(tmp_path):
+    disturbances = {"disturbances": {"delay": (0, 2), "noise": 0.1}}
+    training, student = started(
+        recipe(training_options=disturbances, env_options=REACH | {"max_episode_steps": 6}), tmp_path / "run"
+    )
+    envs = training.envs.unwrapped
+    batch = DistillationBatch(student, training.envs, teacher_in(envs, training.stage, 0))
+    delays = envs.disturbances["delay"].levels.astype(int)
+    assert set(delays) == {0, 1, 2}
+    batch.play()
+    for world, delay in enumerate(delays):
+        labels = [step.targets[world, 0].item() for step in batch._steps]
+        assert labels[: 6 - delay] == [0.5 if (t + delay) % 2 == 0 else -0.5 for t in range(6 - delay)]
+        known = [step.is_labelled[world].item() for step in batch._steps]
+        assert known[:6] == [True] * (6 - delay) + [False] * delay  # the episode ends before the others arrive
+
+
+def test_a_teacher_sees_no_disturbance():
+    worlds: Any = make_worlds("armctl/ArmReach-v0", 3, {"disturbances": {"noise": 0.1}})
+    teacher = teacher_in(worlds, recipe(teacher="reach_ik:prepared=false"), 0)
+    clear: Any = make_worlds("armctl/ArmReach-v0", 3)
+    expert = make_policy("reach_ik:prepared=false", clear)
+    noisy, observations = worlds.reset(seed=2)[0], clear.reset(seed=2)[0]
+    assert not np.array_equal(noisy, observations)
+    assert np.array_equal(teacher.act(noisy), expert.act(observations))
+
+
+def test_a_student_starts_from_another_agent(tmp_path):
+    chosen = load_recipe("bridge_robust_distil")
+    training, student = started(chosen, tmp_path / "run")
+    weights = load_agent(Path("rl/agents/bridge_distil.json"), training.held_out).numbers
+    for name, parameter in student.network.named_parameters():
+        assert np.array_equal(parameter.detach().numpy(), weights[f"network.{name}"])
+    assert {"bridge_distil", "bridge_state_ppo"} <= {ancestor.name for ancestor in training._lineage}
+    with pytest.raises(ConfigurationError, match="as distil trains it"):
+        started(chosen.changed(options=chosen.options | {"start": "random"}), tmp_path / "other")
+
+
 @pytest.mark.slow
 def test_an_agent_of_the_state_teaches_a_student_who_sees_the_camera(state_agent, tmp_path):
     """It labels the states of the very worlds that the student is in."""

@@ -84,6 +84,13 @@ def test_of_equal_success_the_higher_return_is_better(tmp_path, graded, unexport
         assert training.finish(constant_actor(training, 0.0), 3).best_after == 1
 
 
+def test_the_last_is_kept_if_the_options_say_so(tmp_path, graded, unexported):
+    with Training(recipe(), dataclasses.replace(OPTIONS, keeps="last"), tmp_path / "run", 0, False) as training:
+        for steps, value in enumerate((0.75, 0.25)):
+            training.evaluate(constant_actor(training, value), steps)
+        assert training.finish(constant_actor(training, 0.0), 1).best_after == 1
+
+
 def test_curve_and_best_survive_a_resumption(tmp_path, graded, unexported):
     out = tmp_path / "run"
     with Training(recipe(), OPTIONS, out, 0, False) as training:

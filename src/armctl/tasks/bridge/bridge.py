@@ -22,7 +22,7 @@ from armctl.tasks.bridge.layout import Layout, sample_layout, turning_y
 from armctl.tasks.bridge.observation import (
     FASTEST_MOTION,
     See,
-    camera_pitch,
+    camera_numbers,
     full_state,
     make_camera,
     observation_space,
@@ -155,12 +155,12 @@ class BridgeTask(Task):
         depths = (options.view, options.camera, options.image_format) == ("camera", "depth", "float")
         if options.view != "ranges" and not depths:
             return LearnerView(state_features=scans)
-        measured = {
-            "field_of_view": options.field_of_view,
-            "farthest": options.camera_range,
-            "pitch": camera_pitch(self.simulation.model),
-        }
-        return LearnerView(features=FeatureSpec("nearness", {}, "column_ranges", measured), state_features=scans)
+        measured, mount = camera_numbers(options, self.simulation.model)
+        return LearnerView(
+            features=FeatureSpec("nearness", {}, "column_ranges", measured),
+            robust_features=FeatureSpec("held_nearness", {}, "floor_ranges", measured | mount),
+            state_features=scans,
+        )
 
     @property
     def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:

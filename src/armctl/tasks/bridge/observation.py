@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.robots.rover import CAMERA, GEOM_GROUP
+from armctl.robots.rover import CAMERA, GEOM_GROUP, PREFIX, WHEEL_RADIUS, WHEELS
 from armctl.simulation import Camera, RayCamera, Simulation
 from armctl.tasks.bridge.layout import MAX_BLOCK_YAW, WALKER_SPEEDS
 from armctl.tasks.bridge.options import BridgeOptions
@@ -127,6 +127,18 @@ def camera_pitch(model: mujoco.MjModel) -> float:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.camera(CAMERA).quat)
     return float(np.arcsin(rotation[8]))
+
+
+def camera_numbers(options: BridgeOptions, model: mujoco.MjModel) -> tuple[dict[str, float], dict[str, float]]:
+    """Return what networks are told of the camera: its optics and pitch, and its mount.
+
+    The mount is the height `above` the deck at rest, m, and the `lift` in m per rad that the nose rises about the rear
+    axle when the rover accelerates.
+    """
+    ahead, _, above = model.camera(CAMERA).pos
+    rear = min(model.body(PREFIX + name).pos[0] for name in WHEELS)
+    optics = {"field_of_view": options.field_of_view, "farthest": options.camera_range, "pitch": camera_pitch(model)}
+    return optics, {"above": float(above) + WHEEL_RADIUS, "lift": float(ahead - rear)}
 
 
 def column_directions(options: BridgeOptions, pitch: float) -> Array:
