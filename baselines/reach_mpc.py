@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_options
+from armctl.baselines.reach_task import checked_options, search_for, split
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
@@ -22,7 +22,7 @@ from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
 from armctl.estimation.arm_observer import ArmObserver, ArmReadings
-from armctl.kinematics import ArmModel, Ik, ReachabilityMap
+from armctl.kinematics import ArmModel, MinimumTimeReach, ReachabilityMap
 from armctl.kinematics.room import ROOM, moved_along, with_room
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.policies import PerWorld, made_for, sees
@@ -58,15 +58,16 @@ WITHOUT_BOXES = ReachMpcExpertOptions(margin=0.01, influence_distance=0.06)
 """Nearer to the floor and to itself than an arm goes to boxes."""
 
 
-@made_for("armctl/ArmReach*", controls="arms: position")
+@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: position")
 @sees("model", family="MPC")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""
-    task = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"])
+    task = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"], poses=True)
     configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(task.parts)
+    search = search_for(configurations.model, task)
     mpc = changed_options(AMONG_BOXES if "boxes" in parts else WITHOUT_BOXES, options, "option of reach_mpc")
     clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
-    return PerWorld([ReachWithMpc(configurations, task.tolerance, parts, mpc, clock) for clock in clocks])
+    return PerWorld([ReachWithMpc(configurations, search, task.tolerance, parts, mpc, clock) for clock in clocks])
 
 
 class ReachWithMpc:
@@ -75,6 +76,7 @@ class ReachWithMpc:
     def __init__(
         self,
         reachability_map: ReachabilityMap,
+        search: MinimumTimeReach,
         tolerance: float,
         parts: list[str],
         options: ReachMpcExpertOptions,
@@ -86,7 +88,7 @@ class ReachWithMpc:
         period = self.mpc.problem.period
         observer = ArmObserver(self._model, period, self._moving, clock)
         self._belief = observer if options.prepared else ArmReadings(period)
-        self._ik, self._tracks = Ik(self._model), self._moving and options.prepared
+        self._search, self._tracks = search, self._moving and options.prepared
         self._ahead = self.mpc.problem.period * np.arange(1, self.mpc.problem.horizon + 1)[:, None]
 
     @property
@@ -104,7 +106,8 @@ class ReachWithMpc:
         self._way: list[Array] = []
         self._guided = False
         self._nearest, self._waited = np.inf, 0
-        self._searches = 0
+        self._searches = self._readings = 0
+        self._target_axes = np.zeros(len(self._search.place(self._model.home)) - 3)
 
     def plans(self) -> dict[str, Array]:
         """Return planned end-effector positions at the end of each period of the horizon, (N + 1, 3) m."""
@@ -112,9 +115,11 @@ class ReachWithMpc:
 
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return joint positions (dof,) to move to, for an observation (6 + dof + k,)."""
-        dof = self._model.dof
-        tip, q, target, extra = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        self._belief.read(tip, q, target, extra[:3] if self._moving else None)
+        tip, q, target, extra = split(self._search, observation)
+        self._readings += 1
+        self._tip_axes = tip[3:]
+        self._target_axes += (target[3:] - self._target_axes) / self._readings
+        self._belief.read(tip[:3], q, target[:3], extra[:3] if self._moving else None)
         command = self._goal(extra) - self._belief.load_offset
         self._belief.send(command)
         return np.asarray(command)
@@ -122,7 +127,8 @@ class ReachWithMpc:
     def _goal(self, extra: Array) -> Array:
         """Return the joint positions (dof,) to move to without a load."""
         belief = self._belief
-        distance = float(np.linalg.norm(belief.tip - belief.target))
+        offset = np.concatenate((belief.tip - belief.target, self._tip_axes - self._target_axes))
+        distance = float(np.linalg.norm(offset))
         if self._posture is None:
             return self._first_goal(extra)
         if self._is_stuck(distance):
@@ -135,12 +141,17 @@ class ReachWithMpc:
         if len(self._way) and np.abs(belief.joints - self._posture).max() < PASSING:
             self._posture, self._way = self._way[0], self._way[1:]
         posture = None if distance < self._tolerance else self._posture
-        targets = belief.target_ahead(self._ahead[:, 0]) - belief.tip_offset(self._arrival())
+        targets = self._places(belief.target_ahead(self._ahead[:, 0]) - belief.tip_offset(self._arrival()))
         if self._guided:
             ahead = self._ahead_on_way(self._stream.position, self._posture)
             targets, posture = self._model.positions(ahead), ahead[-1]
         self._plan = self.mpc.plan(self._stream.position, self._stream.velocity, targets, posture)
         return self._stream.goal(self._plan)
+
+    def _places(self, positions: Array) -> Array:
+        """Return target places (..., 3 or 12) m from positions (..., 3) m, with the axes of a target that has some."""
+        axes = np.broadcast_to(self._target_axes, (*positions.shape[:-1], len(self._target_axes)))
+        return np.concatenate((positions, axes), axis=-1)
 
     def _is_there(self, distance: float) -> bool:
         """Start the MPC in the posture, or at a target that moves along with it; return whether the arm is there."""
@@ -185,9 +196,13 @@ class ReachWithMpc:
         if self._posture is not None:
             target = target - self._belief.tip_offset(self._arrival())
         if self._tracks:
-            posture = with_room(self._ik, target, q, ROOM)
+            posture = with_room(self._search.ik, target, q, ROOM)
             if posture is not None:
                 return posture
+        if len(self._target_axes):
+            place = self._places(target)
+            goal = self._search.find(q, place, self._tolerance / 2)
+            return self._search.closest(place, q) if goal is None else goal.q
         goal, self._guided, self._way = self._map.towards(target, q, self.mpc.model), False, []
         straight = self._posture is None and self.mpc.model.are_free(np.linspace(q, goal, WAY_POINTS)).all()
         if not self._boxed or straight:

@@ -9,7 +9,7 @@ import pytest
 from armctl.kernels import arm, capsules, control_step, drives, ik, reach, reach_mpc
 from armctl.kernels.clearance import ScaledScene
 from armctl.kernels.edges import PAIR
-from armctl.kinematics import ArmModel
+from armctl.kinematics import ArmModel, MinimumTimePose
 from armctl.kinematics.records import box_records
 from armctl.robot_description.joint_profiles import TICK, fly_by_setpoint, trapezoidal_displacement
 from armctl.scene import Boxes
@@ -221,6 +221,37 @@ def test_quadratic_models(model, rng, exact):
     expected = reference.quadratic_model(q, errors, axes, gradients, exact, 1e-3, model.home)
     np.testing.assert_allclose(hessians, expected[0], rtol=1e-10, atol=1e-11)
     np.testing.assert_allclose(slopes, expected[1], rtol=1e-10, atol=1e-10)
+
+
+def test_quadratic_models_of_poses(model, rng):
+    """Errors are those of places; gradients and the Hessian near the target are those of finite differences."""
+    search, dof, step = MinimumTimePose(model, 0.1), model.dof, 1e-5
+    q = configurations(model, rng, 3)
+    targets = np.array([search.place(at + 0.1 * rng.normal(size=dof)) for at in q])
+    scene = ScaledScene(
+        model.joints, model.links, np.zeros(0, dtype=PAIR), box_records(model.boxes),
+        np.ones(len(model.links), dtype=int), np.ones(0),
+    )  # fmt: skip
+
+    def evaluated(at):
+        knots = reach_mpc.Knots(at, np.empty((3, 12)), np.empty((3, dof, 3)), np.empty((3, dof, 12)))
+        reach_mpc.evaluate_knots(scene, targets, knots, np.full(3, np.inf))
+        return knots
+
+    knots = evaluated(q)
+    np.testing.assert_allclose(knots.errors, [search.place(at) for at in q] - targets, **CLOSE)
+    ways = step * np.eye(dof)
+    differences = [(evaluated(q + way).errors - evaluated(q - way).errors) / (2 * step) for way in ways]
+    np.testing.assert_allclose(knots.gradients, np.transpose(differences, (1, 0, 2)), atol=1e-8)
+    hessian = np.empty((dof, dof))
+    for k in range(3):
+        reach_mpc.squared_error_hessian(knots.gradients[k], knots.axes[k], knots.errors[k], True, hessian)
+        slopes = [
+            [(after.gradients[k] @ after.errors[k]) for after in (evaluated(q + way), evaluated(q - way))]
+            for way in ways
+        ]
+        expected = [(ahead - behind) / (2 * step) for ahead, behind in slopes]
+        np.testing.assert_allclose(hessian, expected, atol=1e-8)
 
 
 def test_distances_are_rounded_as_they_are_observed(rng):

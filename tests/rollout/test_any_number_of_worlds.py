@@ -9,7 +9,7 @@ from armctl.study import compare
 from ..stores import timeless
 
 LINES_UP = {
-    "armctl/ArmPose-v0": ("reach_ik", "reach_ruckig", "reach_rate", "random"),
+    "armctl/ArmPose-v0": ("reach_ik", "reach_mpc", "reach_ruckig", "reach_rate", "random"),
     "armctl/ArmReach-v0": ("reach_ik", "reach_mpc", "reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "random"),
     "armctl/ArmReachMoving-v0": ("reach_ik", "reach_mpc", "moving_dagger", "moving_ppo", "random"),
     "armctl/ArmReachObstacles-v0": (

@@ -138,6 +138,7 @@ class ReachMpc:
         """Plan a motion from joint `position` (dof,) rad and `velocity` (dof,) rad/s.
 
         `targets` (N, 3) m are the end-effector positions wanted at the end of each period; (3,) is a target at rest.
+        With 12 numbers they are places, of a pose: see `armctl.kinematics.MinimumTimePose`.
         `posture` (dof,) rad is the joint positions preferred, from a global search, since this one is local.
         Raises `ConfigurationError` for arguments of other shapes, or not finite.
         """
@@ -272,7 +273,8 @@ class _Linearisation:
         self.problem, self.parameters, self.motion = controller.problem, parameters, motion
         options, q = controller.options, motion.positions[1:]
         distances = np.full(len(q), np.inf)
-        self.knots = kernel.Knots(q, np.empty((len(q), 3)), np.empty((*q.shape, 3)), np.empty((*q.shape, 3)))
+        size = parameters.targets.shape[1]
+        self.knots = kernel.Knots(q, np.empty((len(q), size)), np.empty((*q.shape, 3)), np.empty((*q.shape, size)))
         kernel.evaluate_knots(controller.scene, parameters.targets, self.knots, distances)
         self.cost = self.merit = cost(self.problem, parameters, motion, self.knots.errors)
         """m^2; the merit has the penalty for violated margins too"""

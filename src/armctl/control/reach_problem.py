@@ -19,6 +19,9 @@ from armctl.core.options import NonNegative, Positive, options
 from armctl.kernels import reach_mpc
 from armctl.robot_description import JointLimits
 
+POSITION, PLACE = 3, 12
+"""Numbers of a target: a position, and of a pose also three axes."""
+
 
 @options
 class ReachProblem:
@@ -45,7 +48,7 @@ class OcpParameters:
     velocity: Array
     """(dof,) rad/s."""
     targets: Array
-    """(N, 3) m, at the end of each period."""
+    """(N, 3) m, at the end of each period; (N, 12): the end-effector's three scaled axes too."""
     posture: Array | None
     """(dof,) rad: preferred joint positions, if any."""
 
@@ -58,13 +61,14 @@ class OcpParameters:
         cls, problem: ReachProblem, dof: int, position: ArrayLike, velocity: ArrayLike, targets: ArrayLike,
         posture: ArrayLike | None,
     ) -> "OcpParameters":  # fmt: skip
-        """Validate arguments; one target (3,) is at rest. Raises `ConfigurationError` for invalid ones."""
-        if np.shape(targets) == (3,):
+        """Validate arguments; one target is at rest. Raises `ConfigurationError` for invalid ones."""
+        if np.shape(targets) in ((POSITION,), (PLACE,)):
             targets = np.tile(targets, (problem.horizon, 1))
+        size = PLACE if np.shape(targets)[-1:] == (PLACE,) else POSITION
         return cls(
             checked_array("position", position, (dof,)),
             checked_array("velocity", velocity, (dof,)),
-            checked_array("targets", targets, (problem.horizon, 3)),
+            checked_array("targets", targets, (problem.horizon, size)),
             None if posture is None else checked_array("posture", posture, (dof,)),
         )
 
@@ -98,7 +102,7 @@ class MpcResult(JointTrajectory):
 
 
 def cost(problem: ReachProblem, parameters: OcpParameters, motion: JointTrajectory, errors: Array) -> float:
-    """Return the cost (m^2) of a motion whose end-effector misses the targets by `errors` (N, 3) m."""
+    """Return the cost (m^2) of a motion whose end-effector misses the targets by `errors` (N, 3 or 12) m."""
     posture, weight = parameters.preference(problem)
     weights = weight, problem.velocity, problem.acceleration
     return float(reach_mpc.cost_of(weights, posture, motion.positions, motion.velocities, motion.accelerations, errors))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.kernels.arm import axes_of, cross, forward, gradients_of, tip_of
+from armctl.kernels.arm import axes_of, cross, forward, gradients_of, tip_of, turned
 from armctl.kernels.capsules import place
 from armctl.kernels.clearance import measure
 from armctl.kernels.compiling import compiled
@@ -19,11 +19,11 @@ class Knots(NamedTuple):
     q: Array
     """(N, dof) rad."""
     errors: Array
-    """(N, 3) m: of the tips from their targets."""
+    """(N, 3) m: of the tips from their targets; (N, 12) with those of the three scaled axes."""
     axes: Array
     """(N, dof, 3): of the joints; zero for what has no second derivatives."""
     gradients: Array
-    """(N, dof, 3) m/rad: derivatives of the tip's position by each joint."""
+    """(N, dof, 3 or 12) m/rad: derivatives of the errors by each joint."""
 
 
 class Entries(NamedTuple):
@@ -115,14 +115,17 @@ def go_straight(joints, period, position, velocity, goal, velocities):
 
 @compiled
 def cost_of(weights, posture, positions, velocities, accelerations, errors):
-    """Return the cost (m^2) of a motion whose tips miss their targets by `errors` (N, 3).
+    """Return the cost (m^2) of a motion whose tips miss their targets by `errors` (N, 3 or 12).
 
     `weights` are those of distance from `posture` (dof,), velocity, and acceleration.
     """
     horizon, dof = accelerations.shape
     total = 0.0
     for k in range(horizon):
-        total += errors[k, 0] ** 2 + errors[k, 1] ** 2 + errors[k, 2] ** 2
+        square = 0.0
+        for axis in range(errors.shape[1]):
+            square += errors[k, axis] ** 2
+        total += square
         for i in range(dof):
             total += weights[0] * (positions[k + 1, i] - posture[i]) ** 2
             total += weights[1] * velocities[k + 1, i] ** 2 + weights[2] * accelerations[k, i] ** 2
@@ -131,7 +134,10 @@ def cost_of(weights, posture, positions, velocities, accelerations, errors):
 
 @compiled
 def evaluate_knots(scene, targets, knots, min_distances):
-    """Compute errors from `targets` (N, 3) m, axes and gradients of `knots`, and `min_distances` of pairs (N,) m."""
+    """Compute errors from `targets` (N, 3 or 12) m, axes and gradients of `knots`, and `min_distances` of pairs (N,) m.
+
+    Targets with 12 numbers are poses: a position, and the three axes, scaled.
+    """
     joints, links, pairs, boxes, samples, scales = scene
     q, errors, axes, gradients = knots
     count, dof = len(joints), q.shape[1]
@@ -142,7 +148,9 @@ def evaluate_knots(scene, targets, knots, min_distances):
         forward(joints, q[k], rotations, origins)
         tip_of(joints, rotations, origins, tip)
         axes_of(joints, rotations, own_axes)
-        gradients_of(joints, own_axes, origins, tip, gradients[k])
+        gradients_of(joints, own_axes, origins, tip, gradients[k, :, :3])
+        if targets.shape[1] > 3:
+            turn_axes(joints, rotations, own_axes, targets[k], errors[k], gradients[k])
         for i in range(dof):
             # A joint that slides turns nothing, which its axis stands for in second derivatives; if joints follow
             # others, these are left out: what remains is Gauss and Newton's part.
@@ -157,22 +165,43 @@ def evaluate_knots(scene, targets, knots, min_distances):
 
 
 @compiled
+def turn_axes(joints, rotations, axes, target, errors, gradients):
+    """Compute the last 9 `errors` (12,) m, those of the scaled axes, and their `gradients` (dof, 12) m/rad."""
+    last, axis, change = len(joints) - 1, np.empty(3), np.empty(3)
+    scale = math.sqrt(target[3] ** 2 + target[4] ** 2 + target[5] ** 2)
+    gradients[:, 3:] = 0.0
+    for column in range(3):
+        first = 3 + 3 * column
+        turned(rotations[last], joints[last].tip_rotation[:, column], axis)
+        for i in range(3):
+            axis[i] *= scale
+            errors[first + i] = axis[i] - target[first + i]
+        for k in range(len(joints)):
+            if not joints[k].slides:
+                cross(axes[k], axis, change)
+                for i in range(3):
+                    gradients[joints[k].motor, first + i] += joints[k].ratio * change[i]
+
+
+@compiled
 def squared_error_hessian(gradients, axes, error, exact, hessian):
     """Compute half the `hessian` (dof, dof) of the tip's squared error, or without `exact`, Gauss and Newton's part.
 
-    The tip's second derivative by joints i <= j is axis_i x (its first by j).
+    The second derivative of a point or an axis by joints i <= j is axis_i x (its first by j).
     """
     bent = np.empty(3)
-    for j in range(len(gradients)):
-        gradient = gradients[j]
-        cross(gradient, error, bent)
-        for i in range(j + 1):
-            value = 0.0
-            for axis in range(3):
-                value += gradients[i, axis] * gradient[axis]
-                if exact:
-                    value += axes[i, axis] * bent[axis]
-            hessian[i, j] = hessian[j, i] = value
+    hessian[:] = 0.0
+    for first in range(0, len(error), 3):
+        for j in range(len(gradients)):
+            gradient = gradients[j, first : first + 3]
+            cross(gradient, error[first : first + 3], bent)
+            for i in range(j + 1):
+                value = hessian[i, j]
+                for axis in range(3):
+                    value += gradients[i, first + axis] * gradient[axis]
+                    if exact:
+                        value += axes[i, axis] * bent[axis]
+                hessian[i, j] = hessian[j, i] = value
 
 
 @compiled
@@ -202,7 +231,7 @@ def quadratic_model(knots, exact, weight, posture, hessians, slopes):
             convexify(hessian)
         for i in range(dof):
             slope = -2 * weight * posture[i]
-            for axis in range(3):
+            for axis in range(errors.shape[1]):
                 slope += 2 * gradients[k, i, axis] * errors[k, axis]
             for j in range(dof):
                 hessian[i, j] *= 2

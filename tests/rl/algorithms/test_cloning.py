@@ -28,6 +28,7 @@ WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "delta": ("armctl/ArmReach-v0", {"control": "delta"}),
     "velocity": ("armctl/ArmReach-v0", {"control": "velocity"}),
     "moving": ("armctl/ArmReachMoving-v0", {}),
+    "pose": ("armctl/ArmPose-v0", {}),
     "obstacles": ("armctl/ArmReachObstacles-v0", {}),
     "bridge": ("armctl/BridgeCross-v0", {"resolution": (8, 6)}),
 }
@@ -207,6 +208,10 @@ def turned_world(observations, angle):
     begin, end = parts["rest"]
     if end - begin == 3:
         turn(begin)
+    if end - begin == 12:
+        for axis in range(begin, end, 3):
+            turn(axis)
+        return turned
     for box in range(begin, end - 6, 7):
         there = observations[:, box + 3] > 0
         turn(box)
@@ -214,7 +219,7 @@ def turned_world(observations, angle):
     return turned
 
 
-@pytest.mark.parametrize("name", ["ur5", "moving", "obstacles"])
+@pytest.mark.parametrize("name", ["ur5", "moving", "pose", "obstacles"])
 def test_turned_features_do_not_change_when_the_world_is_turned(name):
     torch.manual_seed(0)
     env, options = WORLDS[name]

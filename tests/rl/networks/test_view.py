@@ -7,9 +7,10 @@ import torch
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.rl.networks.actor import Actor, tensors
+from armctl.rl.networks.features import missing_turn
 from armctl.rl.networks.view import view_of
 from armctl.robots.arm import LARGEST_RELATIVE_MOVE
-from armctl.tasks import OBSERVATION, BridgeTask, ReachMovingTask, ReachObstaclesTask, ReachTask
+from armctl.tasks import OBSERVATION, BridgeTask, ReachMovingTask, ReachObstaclesTask, ReachPoseTask, ReachTask
 
 CAMERA: dict[str, Any] = {"resolution": (8, 6)}
 WORLDS = {
@@ -20,6 +21,7 @@ WORLDS = {
     "normalized": lambda: TaskVectorEnv(5, task=ReachTask, actions="normalized"),
     "panda": lambda: TaskVectorEnv(5, task=ReachTask, robot="panda"),
     "moving": lambda: TaskVectorEnv(5, task=ReachMovingTask),
+    "pose": lambda: TaskVectorEnv(5, task=ReachPoseTask),
     "obstacles": lambda: TaskVectorEnv(5, task=ReachObstaclesTask, solvable=False),
     "depth": lambda: TaskVectorEnv(5, task=BridgeTask, **CAMERA),
     "classes": lambda: TaskVectorEnv(5, task=BridgeTask, camera="classes", **CAMERA),
@@ -54,6 +56,18 @@ def test_the_whole_observation_is_shown(name):
     shown = torch.as_tensor(observations[:1]).requires_grad_()
     torch.linalg.norm(extractor(shown) + 1.0).backward()
     assert (shown.grad != 0).all()
+
+
+def test_the_missing_turn_is_that_from_the_end_effector_to_the_target():
+    worlds = WORLDS["pose"]()
+    axes = torch.as_tensor(worlds.reset(seed=0)[0][:, 12:]).unflatten(1, (2, 2, 3))
+    features = missing_turn(axes[:, 0], axes[:, 1]).numpy()
+    angles = worlds.task.state.angle
+    np.testing.assert_allclose(
+        np.trace(features[:, :9].reshape(-1, 3, 3), axis1=1, axis2=2), 1 + 2 * np.cos(angles), atol=1e-5
+    )
+    np.testing.assert_allclose(np.linalg.norm(features[:, 9:12], axis=1), 2 * np.sin(angles), atol=1e-5)
+    np.testing.assert_allclose(features[:, 12], np.sqrt(8) * np.sin(angles / 2), atol=1e-5)
 
 
 @pytest.mark.parametrize("control", ["position", "delta", "velocity", "torque"])

@@ -108,7 +108,7 @@ class ReachPoseTask(ReachTask):
     options_type: ClassVar[type[Any]] = ReachPoseOptions
     units: ClassVar[Mapping[str, str]] = {**ReachTask.units, "end_effector_axes": "", "target_axes": ""}
     instruction = "Move the end-effector to the target's position, in the target's orientation."
-    default_policies = ("reach_ik", "reach_ruckig", "reach_rate", "random")
+    default_policies = ("reach_ik", "reach_mpc", "reach_ruckig", "reach_rate", "random")
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         "distance": ReachTask.potentials["distance"],
         "ik": MinimumTimeToPose,
