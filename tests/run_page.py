@@ -20,6 +20,7 @@ from pathlib import Path
 
 import armctl
 from armctl.cli import main
+from armctl.runtime.identity import own_modules
 
 
 def python(code):
@@ -88,7 +89,8 @@ def warm_up(*names):
         *names,
     ):
         importlib.import_module(name)
-    armctl.Ik(armctl.ArmModel(armctl.load_arm("ur5")))
+    armctl.evaluate("reach_ik", episodes=1)
+    own_modules()
     gc.collect()
     gc.freeze()  # the end of each fork looks at no object again: half a second
 

@@ -1,6 +1,7 @@
 """Tells code of one's own from that of Python, of installed packages and of armctl's core, whose versions count."""
 
 import functools
+import os
 import site
 import sys
 import sysconfig
@@ -53,7 +54,14 @@ def is_library(file: Path) -> bool:
 @functools.cache
 def is_library_file(file: str) -> bool:
     """Return True if an absolute path leads to a file of Python or of an installed package."""
-    return Path(file).is_absolute() and is_library(Path(file).resolve())
+    if not os.path.isabs(file):
+        return False
+    return is_library(Path(file).resolve()) if os.path.islink(file) else _is_library_folder(os.path.dirname(file))
+
+
+@functools.cache
+def _is_library_folder(folder: str) -> bool:
+    return is_library(Path(folder).resolve())
 
 
 @functools.cache
