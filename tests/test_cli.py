@@ -241,7 +241,7 @@ def test_worst_cases_are_searched_printed_and_reported(tmp_path):
     assert (tmp_path / "here" / "report.html").exists()
     assert pd.read_csv(tmp_path / "here" / "worst_case.csv").policy.tolist() == ["random"]
     again = armctl(*command, "--format", "json", cwd=tmp_path)
-    assert json.loads(again.stdout)["worst_cases"][0]["radius"] == 0
+    assert json.loads(again.stdout)["worst_cases"][0]["distance"] == 0
 
 
 def test_run_prints_states_actions_and_rewards(tmp_path):

@@ -155,8 +155,10 @@ def test_groups_of_many_values_keep_mean_and_counts_and_span_a_thousandth_of_the
     values, counts = np.sort(rng.exponential(size=30_000)), rng.integers(1, 4, 30_000)
     means, sizes = grouped(values, counts)
     assert len(means) <= GROUPS + 1
-    assert (sizes.sum(), sizes @ means) == (counts.sum(), pytest.approx(counts @ values))
+    assert sizes.sum() == counts.sum()
+    assert sizes @ means == pytest.approx(counts @ values)
     last = np.searchsorted(np.cumsum(counts), np.cumsum(sizes))
     first = np.append(0, last[:-1] + 1)
     assert (values[last] - values[first]).max() <= 1e-3 * (values[-1] - values[0])
-    assert grouped(values[:9_000], counts[:9_000]) == (pytest.approx(values[:9_000]), pytest.approx(counts[:9_000]))
+    for few, whole in zip(grouped(values[:9_000], counts[:9_000]), (values, counts), strict=True):
+        np.testing.assert_array_equal(few, whole[:9_000])
