@@ -201,8 +201,8 @@ class ReachWithMpc:
                 return posture
         if len(self._target_axes):
             place = self._places(target)
-            goal = self._search.find(q, place, self._tolerance / 2)
-            return self._search.closest(place, q) if goal is None else goal.q
+            entry = self._search.find(q, place, self._tolerance / 2)
+            return self._search.closest(place, q) if entry is None else entry.q
         goal, self._guided, self._way = self._map.towards(target, q, self.mpc.model), False, []
         straight = self._posture is None and self.mpc.model.are_free(np.linspace(q, goal, WAY_POINTS)).all()
         if not self._boxed or straight:

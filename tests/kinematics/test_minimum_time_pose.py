@@ -45,6 +45,13 @@ def test_least_times_agree_with_bisection_by_bounded_least_squares(search):
     """Within a time, each joint reaches an interval, in which a configuration of the ball exists or does not."""
     model, home = search.model, search.model.home
     limits = model.limits
+
+    def missed(q, centre):
+        return search.place(q) - centre
+
+    def jacobian(q, centre):
+        return search.place_jacobian(q)
+
     for centre in targets(search, 3):
         times = []
         for branch in search._guesses(home, centre):
@@ -55,9 +62,8 @@ def test_least_times_agree_with_bisection_by_bounded_least_squares(search):
                 travel = limits.acceleration * ramp**2 / 2 + limits.velocity * (time - ramp) + 1e-9
                 low, high = np.maximum(home - travel, limits.lower), np.minimum(home + travel, limits.upper)
                 best = least_squares(
-                    lambda q, centre=centre: search.place(q) - centre,
-                    np.clip(branch, low, high), search.place_jacobian, bounds=(low, high), max_nfev=30,
-                )  # fmt: skip
+                    missed, np.clip(branch, low, high), jacobian, bounds=(low, high), max_nfev=30, args=(centre,)
+                )
                 is_inside = np.linalg.norm(best.fun) <= RADIUS
                 low_time, high_time = (low_time, time) if is_inside else (time, high_time)
             times.append(high_time)

@@ -6,6 +6,7 @@ counts as `lever` (m/rad) times 2 sin(angle / 2).
 """
 
 import functools
+import math
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class MinimumTimePose(MinimumTimeReach):
 
     @functools.cached_property
     def _scale(self) -> float:
-        return self.lever / np.sqrt(2)
+        return self.lever / math.sqrt(2)
 
     def _candidates(self, start: Array, centre: Array, radius: float, velocity: Array) -> tuple[Array, Array]:
         centre = self.centre(centre[:3], centre[3:9])
@@ -98,4 +99,4 @@ class MinimumTimePose(MinimumTimeReach):
 
 def _unit(vectors: Array) -> Array:
     """Return vectors (..., 3) of length 1; a null vector stays one."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.finfo(float).tiny)
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.finfo(float).tiny))
