@@ -35,12 +35,13 @@ def no_policy(env):
 
 
 SEEN = dict.fromkeys(("reach_ik", "reach_mpc", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"), "model")
+SEEN |= dict.fromkeys(("moving_forecast", "moving_estimated", "bridge_cleaned"), "model")
 SEEN |= dict.fromkeys(("reach_impedance", "reach_rate", "reach_ruckig"), "model")
 SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo"), "state")
 SEEN |= dict.fromkeys(("bridge_moving_state_ppo", "bridge_moving_imagined", "bridge_mppi", "bridge_orca"), "state")
 SEEN |= dict.fromkeys(("reach_mppi", "bridge_dwa", "bridge_lidar_ompl", "bridge_pursuit"), "model")
 MEETINGS = [(name, env) for env in environment_names() for name in default_policies(env)]
-EXPERTS = {policy.name: policy.envs for policy in listed_policies() if policy.kind == "expert"}
+EXPERTS = {policy.name: policy.envs for policy in listed_policies() if policy.kind in ("expert", "hybrid")}
 FOREIGN = {name for name, envs in EXPERTS.items() if not any(is_made_for(env, envs) for env in environment_names())}
 MEETINGS += [
     (name, min(env for env in environment_names() if is_made_for(env, envs)))

@@ -79,3 +79,14 @@ def test_pixels_without_a_number_do_not_matter(scanner, drive):
     whole = scanner.scan(image)
     image[::7, ::5] = np.nan
     np.testing.assert_allclose(scanner.scan(image).free, whole.free, atol=0.2)
+
+
+def test_ranges_of_painted_images_are_those_without_noise(scanner, drive):
+    rng, errors, noisy_errors = np.random.default_rng(1), [], []
+    for *_, image in drive:
+        noisy = np.clip(image + 0.05 * rng.standard_normal(image.shape), 0, 10)
+        truth = scanner.camera.ranges(image)
+        errors.append(scanner.camera.ranges(scanner.painted(noisy, scanner.scan(noisy))) - truth)
+        noisy_errors.append(scanner.camera.ranges(noisy) - truth)
+    assert np.quantile(np.abs(errors), 0.9) < 0.25
+    assert np.quantile(np.abs(noisy_errors), 0.9) > 1.0

@@ -11,7 +11,7 @@ from ..stores import timeless
 LINES_UP = {
     "armctl/ArmPose-v0": ("reach_ik", "reach_mpc", "reach_ruckig", "reach_rate", "random"),
     "armctl/ArmReach-v0": ("reach_ik", "reach_mpc", "reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "random"),
-    "armctl/ArmReachMoving-v0": ("reach_ik", "reach_mpc", "moving_dagger", "moving_ppo", "random"),
+    "armctl/ArmReachMoving-v0": ("reach_ik", "reach_mpc", "moving_forecast", "moving_dagger", "moving_ppo", "random"),
     "armctl/ArmReachObstacles-v0": (
         "reach_ompl",
         "reach_ik",

@@ -20,6 +20,8 @@ MIN_DEPTH = 0.05
 """m: less is a lost pixel."""
 STANDING = (0.12, 0.76)
 """Heights (m) between which what is seen is an obstacle."""
+HOLE = -0.4
+"""m: what is seen below is a hole."""
 TALL = (0.9, 1.45)
 """Heights (m) of a person above all obstacles."""
 FLOOR_GATE = 0.25
@@ -93,6 +95,19 @@ class DepthScanner:
             points + offset, _medians(x, y, tall) + offset, _median(z, standing),
             np.where(np.isnan(ranges), clear, ranges), pitch, noise,
         )  # fmt: skip
+
+    def painted(self, image: NDArray[Any], scan: DepthScan) -> NDArray[Any]:
+        """Return the image (height, width) without its noise: the floor, what stands on it up to `STANDING`, holes.
+
+        Nothing above is painted.
+        """
+        rise, ahead, above = self._rays(scan.pitch)
+        floor = np.where(rise < 0, above / np.maximum(-rise, 1e-6), np.inf)
+        standing = (scan.standing[:, 0] - self.mount.ahead) / ahead
+        is_standing = (standing < floor) & (above + standing * rise < STANDING[1])
+        is_hole = above + image * rise < HOLE
+        depths = np.where(is_standing, standing, np.where(is_hole, image, floor))
+        return np.minimum(depths, self.camera.farthest).astype(image.dtype)
 
     def _rays(self, pitch: float) -> tuple[Array, Array, float]:
         """Return rise and advance (height, 1) per m of depth, and the camera's height."""

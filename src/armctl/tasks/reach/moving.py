@@ -103,7 +103,7 @@ class ReachMovingTask(ReachTask):
     options_type: ClassVar[type[Any]] = ReachMovingOptions
     possible_outcomes = (ReachOutcome.HELD, ReachOutcome.TIMEOUT)
     units: ClassVar[Mapping[str, str]] = {**ReachTask.units, "target_velocity": "m/s"}
-    default_policies = ("reach_mpc", "reach_ik", "moving_dagger", "moving_ppo", "random")
+    default_policies = ("reach_mpc", "reach_ik", "moving_forecast", "moving_dagger", "moving_ppo", "random")
     instruction = "Move the end-effector to the moving target."
     stops_at_target = False
     foresight = ("target",)
