@@ -52,6 +52,10 @@ bridge_distil = _agent(
     "bridge_distil",
     "`bridge_state_ppo`, distilled into a network with a memory; it sees the depth camera and its own motion.",
 )
+bridge_robust_distil = _agent(
+    "bridge_robust_distil",
+    "`bridge_distil` in training episodes that were disturbed; it sees the depth camera and its own motion.",
+)
 bridge_moving_distil = _agent(
     "bridge_moving_distil",
     "`bridge_moving_state_ppo`, distilled into a network with a memory; it sees the depth camera and its motion.",
