@@ -15,6 +15,7 @@ from armctl.kernels.capsules import place
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.drives import drive_joints, follow_all, limited
 from armctl.kernels.edges import Scene, distance, interpolate, measure_all
+from armctl.kernels.sliding import slide
 
 MAX_TICKS = 1000
 """Ticks after which joints that still move count as unsafe."""
@@ -24,6 +25,10 @@ FINEST = 1 / 16
 """Share of a tick: 2 mm at 4 m/s."""
 BISECTIONS = 4
 """Halvings of the segment between the braking and the proposed command."""
+ALONG = 3
+"""Commands along what is in the way: whole, and halved twice."""
+CURVATURE = 0.001
+"""m more than they keep at least: distances are not linear."""
 
 
 class FilteredArm(NamedTuple):
@@ -249,20 +254,35 @@ def square_distance(first, second):
 
 
 @compiled
-def alternative(number, aims, shares, tried):
-    """Compute command `number` of those `tried` (dof,): between a target and the back-up, or one joint otherwise.
+def along(arm, target, brake, required, command):
+    """Compute the `command` (dof,) that moves joints as to a target (dof,), but along what is in the way.
 
-    `aims` are the target, the back-up and the command that brakes, (dof,) each, and `shares` the bounds of the
-    bisection.
+    Both are relative to the command that brakes: where joints come to rest, or no velocities.
     """
-    (target, backup, brake), dof = aims, len(tried)
+    for i in range(len(target)):
+        command[i] = target[i] - brake[i]
+    slide(arm.scene, arm.motion, brake, required, command)
+    for i in range(len(target)):
+        command[i] += brake[i]
+
+
+@compiled
+def alternative(number, aims, shares, tried):
+    """Compute command `number` of those `tried` (dof,): between a target and the back-up, by one joint, or along.
+
+    `aims` are the target, the back-up, the command that brakes, and the one along what is in the way, (dof,) each, and
+    `shares` the bounds of the bisection.
+    """
+    (target, backup, brake, aside), dof = aims, len(tried)
     for i in range(dof):
         if number < BISECTIONS:
             tried[i] = backup[i] + (shares[0] + shares[1]) / 2 * (target[i] - backup[i])
         elif number < BISECTIONS + dof:
             tried[i] = brake[i] if i == number - BISECTIONS else target[i]
-        else:
+        elif number < BISECTIONS + 2 * dof:
             tried[i] = target[i] if i == number - BISECTIONS - dof else brake[i]
+        else:
+            tried[i] = brake[i] + 0.5 ** (number - BISECTIONS - 2 * dof) * (aside[i] - brake[i])
 
 
 @compiled
@@ -270,10 +290,10 @@ def nearest_safe(arm, state, proposal, plan, command):
     """Compute the safe `command` (dof,) nearest to a `proposal`: the same, or one of some, by the distance of effects.
 
     These are on the segment between the proposal's effect and the back-up of the last command, the `plan`; or brake one
-    joint, or all but one. If none is safe, it is that back-up.
+    joint, or all but one; or go along what is in the way. If none is safe, it is that back-up.
     """
     dof, memory, apart = len(proposal), memory_of(arm), np.empty(len(arm.scene.pairs))
-    target, backup, brake = np.empty(dof), np.empty(dof), np.empty(dof)
+    target, backup, brake, aside = np.empty(dof), np.empty(dof), np.empty(dof), np.empty(dof)
     tried, shares = proposal.copy(), np.array((0.0, 1.0))
     measure_all(arm.scene, state.joints, apart)
     for k in range(len(apart)):
@@ -282,11 +302,12 @@ def nearest_safe(arm, state, proposal, plan, command):
     copy_to(brake if plan.periods[0] == 0 else plan.command, backup)
     copy_to(backup, command)
     rest = max(plan.periods[0] - 1, 0)
-    for number in range(-1, BISECTIONS + 2 * dof):
+    for number in range(-1, BISECTIONS + 2 * dof + ALONG):
         if number == 0:
             effective(arm, state, proposal, target)
+            along(arm, target, brake, memory.required + CURVATURE, aside)
         if number >= 0:
-            alternative(number, (target, backup, brake), shares, tried)
+            alternative(number, (target, backup, brake, aside), shares, tried)
         if number >= BISECTIONS and square_distance(tried, target) >= square_distance(command, target):
             continue
         periods = safe_periods(arm, state, apart, tried, memory)
