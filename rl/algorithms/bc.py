@@ -26,7 +26,7 @@ def _check(recipe: Recipe, options: BcOptions) -> None:
         raise ConfigurationError("a dataset shows what it shows: training_options are for a teacher's episodes")
 
 
-@learner(BcOptions, rewards=False, curriculum=False, check=_check)
+@learner(BcOptions, rewards=False, curriculum=False, explores=False, check=_check)
 def train(training: Training, options: BcOptions) -> AgentCard:
     """Fit an actor to the demonstrations."""
     examples = examples_for(training, options)

@@ -55,7 +55,7 @@ class MemorylessTeacher:
         return self._policy.act(observations)
 
 
-@learner(DaggerOptions, rewards=False, curriculum=False)
+@learner(DaggerOptions, rewards=False, curriculum=False, explores=False)
 def train(training: Training, options: DaggerOptions) -> AgentCard:
     """Let the teacher label what the student visits, and fit the student, round by round."""
     each = options.demonstrations // options.rounds

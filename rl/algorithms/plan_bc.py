@@ -54,7 +54,7 @@ class PlanBcOptions(TrainingOptions):
     """Share of control steps in which the command is disturbed."""
 
 
-@learner(PlanBcOptions, rewards=False, curriculum=False)
+@learner(PlanBcOptions, rewards=False, curriculum=False, explores=False)
 def train(training: Training, options: PlanBcOptions) -> AgentCard:
     """Plan in layouts, and fit an actor to followers of the plans."""
     recipe = training.recipe

@@ -80,6 +80,17 @@ def train(training: Training, options: SacOptions) -> AgentCard:
         return learn(training, model, vec_env.actor(network, training))
 
 
+class StoredAsExecuted(SAC):
+    """SAC that remembers the actions that were executed, also where a safety filter changed them.
+
+    What it learns from is then what happens; PPO needs the proposed ones, whose likelihood it changes.
+    """
+
+    def _store_transition(self, replay_buffer: Any, buffer_action: Any, *others: Any) -> None:
+        assert isinstance(self.env, StableBaselinesVectorEnv)
+        super()._store_transition(replay_buffer, self.env.executed(buffer_action), *others)
+
+
 class SquashedMean(torch.nn.Module):
     """The mean of a policy's action distribution, squashed into [-1, 1].
 
@@ -107,11 +118,11 @@ def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVec
     return vec_env_of(training.envs, training.view, options, kind)
 
 
-def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> SAC:
+def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> StoredAsExecuted:
     goals = isinstance(vec_env, GoalVectorEnv)
     # The hindsight buffer samples from finished episodes only.
     longest = (training.held_out.max_episode_steps or 0) * options.worlds if goals else 0
-    return SAC(
+    return StoredAsExecuted(
         vec_env.policy_class,
         vec_env,
         learning_rate=decaying(options.learning_rate),
@@ -148,8 +159,8 @@ def _noise(options: SacOptions, shape: tuple[int, ...]) -> VectorizedActionNoise
     return noise
 
 
-def _load(checkpoint: Path, vec_env: StableBaselinesVectorEnv) -> SAC:
-    model = SAC.load(checkpoint, vec_env, "cpu")
+def _load(checkpoint: Path, vec_env: StableBaselinesVectorEnv) -> StoredAsExecuted:
+    model = StoredAsExecuted.load(checkpoint, vec_env, "cpu")
     replay = checkpoint.with_name(REPLAY)
     if not replay.exists():
         raise ConfigurationError(f"the training cannot be resumed without {replay}")

@@ -16,13 +16,15 @@ def learner(
     *,
     rewards: bool = True,
     curriculum: bool = True,
+    explores: bool = True,
     check: Callable[[Recipe, Any], None] = lambda recipe, options: None,
 ) -> Callable[[Callable[[Training, Any], AgentCard]], Learner]:
     """Make a learner of a function of a training and its options: a decorator.
 
-    Without `rewards` or `curriculum`, the learner refuses recipes with shaping or reward weights, or with later stages.
-    `check` raises an error for a recipe and options that do not fit together, before anything is made of them. For all
-    errors that it raises, see `armctl.rl.run.training.Training`.
+    Without `rewards`, `curriculum` or `explores`, the learner refuses recipes with shaping or reward weights, with
+    later stages, or with a safety filter, since it acts in no worlds of the training. `check` raises an error for a
+    recipe and options that do not fit together, before anything is made of them. For all errors that it raises, see
+    `armctl.rl.run.training.Training`.
     """
 
     def decorate(function: Callable[[Training, Any], AgentCard]) -> Learner:
@@ -42,6 +44,11 @@ def learner(
             if recipe.curriculum and not curriculum:
                 raise ConfigurationError(
                     f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil and distilled_ppo do"
+                )
+            if recipe.filter is not False and not explores:
+                raise ConfigurationError(
+                    f"{recipe.learner} does not explore in the training's worlds, and takes no filter: ppo, "
+                    "cloned_ppo, distil, distilled_ppo and sac do"
                 )
             check(recipe, options)
             return function(Training(recipe, options, out, seed, resume, on_evaluation, progress), options)

@@ -24,11 +24,13 @@ from armctl.core.files import FORMAT, Content, check_format, one_writer, sealed,
 from armctl.core.seeds import DEVELOPMENT_SEED, TRAINING_SEEDS, VALIDATION_SEED
 from armctl.envs import EpisodeVectorEnv, make_worlds
 from armctl.episodes.failures import unless_failed
+from armctl.policies import Policy
+from armctl.policies.filtered import Filtered, FilteredWorlds, SafetyFilter
 from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.view import View, view_of
 from armctl.rl.run.disk import raise_on_full_disk, torch_bytes
 from armctl.rl.run.lineage import lineage_of, tuning_before
-from armctl.rl.run.meter import CLOCK_FORMAT, COUNTS, Meter, Metered
+from armctl.rl.run.meter import CLOCK_FORMAT, COUNTS, SAFETY, Meter, Metered
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.threads import bounded_threads
 from armctl.rollout import evaluate
@@ -157,7 +159,8 @@ class Training:
         self._evaluated = steps
         episodes = self.options.validation_episodes
         unknown = dict.fromkeys(range(episodes), math.nan)  # lower bounds take longer than the episodes
-        results = list(unless_failed(rollouts(actor, self.held_out, episodes, VALIDATION_SEED, "agent", unknown)))
+        policy = self._as_played(actor)
+        results = list(unless_failed(rollouts(policy, self.held_out, episodes, VALIDATION_SEED, "agent", unknown)))
         rate = success_rate(np.array([result.success for result in results], dtype=bool))
         assert rate is not None
         mean_return = float(np.mean([result.total_reward for result in results]))
@@ -168,12 +171,14 @@ class Training:
             "low": rate.low,
             "high": rate.high,
             "return": mean_return,
-            **{name: self.meter.read()[name] for name in COSTS},
+            **{name: self.meter.read()[name] for name in (*COSTS, *SAFETY)},
         }
         best = None if self.options.keeps == "last" else self._best()
         if best is None or (rate.value, mean_return) > (best["success"], best["return"]):
             write_atomically(self.out / "best.pt", torch_bytes({**row, "actor": actor.state_dict()}))
-        curve = pd.DataFrame([*self.curve(), row]).astype({"steps": int, "decisions": "Int64"})
+        curve = pd.DataFrame([*self.curve(), row]).astype(
+            {"steps": int} | dict.fromkeys(("decisions", *SAFETY), "Int64")
+        )
         write_atomically(self.out / CURVE, curve.to_csv(index=False))
         LOG.info("%s steps: success %.1f%% of %s held-out episodes", f"{steps:,}", 100 * rate.value, episodes)
         for name in ("success", "return"):
@@ -196,6 +201,7 @@ class Training:
             recipe=recipe.name,
             shaping_scale=recipe.shaping_scale if recipe.shaping else None,
             **{name: plain[name] for name in RECIPE_ON_CARD},
+            filter=recipe.filter_options,
             lineage=self._lineage,
             tuning=tuning_before(recipe, self.seed, self.out),
             interface=envs.task.interface,
@@ -205,7 +211,7 @@ class Training:
             training_steps=steps,
             best_after=best["steps"],
             training_minutes=round(costs["seconds"] / 60, 2),
-            **{name: costs[name] for name in (*COUNTS, "processor_seconds")},
+            **{name: costs[name] for name in (*COUNTS, *SAFETY, "processor_seconds")},
             training_seed=self.seed,
             learner_options=dataclasses.asdict(self.options),
             versions=versions() | {name: version(name) for name in ("stable-baselines3", "torch", "onnx")},
@@ -224,9 +230,14 @@ class Training:
         rewards = {"reward_scale": getattr(options, "reward_scale", 1.0), "reward_weights": recipe.reward_weights}
         env_options = recipe.options_in_training | rewards
         envs = make_worlds(recipe.env, count, env_options, autoreset_mode="same_step")
-        if recipe.shaping is None:
-            return envs
-        return Shaped(envs, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
+        if recipe.shaping is not None:
+            envs = Shaped(envs, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
+        return envs if recipe.filter_options is None else FilteredWorlds(envs, **recipe.filter_options)
+
+    def _as_played(self, actor: Actor) -> Policy:
+        """Return the actor, behind the safety filter if it acts behind one."""
+        chosen = self.recipe.filter_options
+        return actor if chosen is None else Filtered(actor, SafetyFilter(self.held_out, "filter", chosen))
 
     def _settings(self) -> dict[str, Any]:
         settings = {FORMAT: SETTINGS_FORMAT, **_plain(self.recipe), "seed": self.seed}

@@ -16,6 +16,7 @@ from armctl.rl.networks.encoder import Encoded, Encoder
 from armctl.rl.networks.frames import History
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.view import View
+from armctl.rl.run.meter import Metered
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
 
@@ -23,10 +24,10 @@ from armctl.rl.run.training import Training
 class StableBaselinesVectorEnv(VecEnv):
     """Actions in [-1, 1], which a view's `action_scale` turns into the environment's."""
 
-    def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], action_scale: torch.nn.Module) -> None:
+    def __init__(self, env: Metered, action_scale: torch.nn.Module) -> None:
         super().__init__(env)
         self.action_space = gymnasium.spaces.Box(-1, 1, env.single_action_space.shape)
-        self._action_scale = action_scale
+        self._action_scale: Any = action_scale
 
     @property
     def policy_class(self) -> Any:
@@ -41,7 +42,16 @@ class StableBaselinesVectorEnv(VecEnv):
         """Return an actor for a training's held-out worlds, with a network of what these worlds show."""
         return Actor(network, training.view.action_scale, training.held_out.single_observation_space)
 
+    def executed(self, actions: NDArray[Any]) -> Any:
+        """Return the last `actions` (n, k), with those that the safety filter put in their place, up to [-1, 1]."""
+        if self.env.executed is None:
+            return actions
+        commands, changed = self.env.executed
+        inverse = self._action_scale.inverse(tensors(self._acted_on), torch.as_tensor(commands, dtype=torch.float32))
+        return np.where(changed[:, None], inverse.numpy(), actions)
+
     def _commands(self, actions: NDArray[Any]) -> Any:
+        self._acted_on = self._observations
         return self._action_scale(tensors(self._observations), torch.as_tensor(actions)).numpy()
 
 

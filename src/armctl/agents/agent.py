@@ -121,6 +121,8 @@ class AgentCard(BaseModel):
     """Weights of the task's reward terms in training; 1 where not named."""
     curriculum: list[dict[str, Any]] = []
     """Later stages of the training, and what held in them instead."""
+    filter: dict[str, Any] | None = None
+    """Options of the safety filter behind which it was trained and acts; None: there is none."""
     teacher: str | None = None
     """The policy that it learned from, if any."""
     lineage: list[Ancestor] | None = None
@@ -141,6 +143,10 @@ class AgentCard(BaseModel):
     teacher_queries: Count | None = None
     gradient_steps: Count | None = None
     processor_seconds: Seconds | None = None
+    contacts: Count | None = None
+    """Control steps of the training with a forbidden contact, over all worlds; None: unknown."""
+    interventions: Count | None = None
+    """Actions of the training that the safety filter changed; None: there was none."""
     best_after: int | None = None
     """Steps after which it performed best on validation episodes. The agent is the one after these steps."""
     training_minutes: float | None
@@ -170,8 +176,13 @@ class AgentCard(BaseModel):
 
     @property
     def sees(self) -> str:
-        """Privilege for tables: the observation, unless it was trained with more, or the robot's model."""
+        """Privilege for tables: the observation, unless it was trained with more, or the robot's model.
+
+        A safety filter sees the state.
+        """
         observation = self.interface.get("observation", "")
+        if self.filter is not None:
+            return "state"
         if self.env_options.get("observation") in ("full", "state") and observation.startswith("state"):
             return "state"
         if self.learner_options.get("features") == "model":

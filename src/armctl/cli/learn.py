@@ -68,6 +68,12 @@ class TrainRequest:
     teacher: Annotated[
         str | None, typer.Option(metavar="POLICY", help="Policy to learn from.", show_default="the recipe's")
     ] = None
+    filter: Annotated[
+        bool,
+        typer.Option(
+            "--filter", help="Let a safety filter change actions in training after which a contact is certain."
+        ),
+    ] = False
     options: Annotated[
         list[str] | None,
         typer.Option("--option", metavar="NAME=VALUE", help="Option of the learner, such as `--option gamma=0.98`."),
@@ -159,6 +165,8 @@ def _training_job(request: TrainRequest) -> "TrainingJob":
     changes: dict[str, Any] = {name: value for name, value in shaping.items() if value is not None}
     if request.shaping == "none":
         changes["shaping"] = None
+    if request.filter:
+        changes["filter"] = True
     learner_options = options_of(request.options, "--option") | (
         {} if request.steps is None else {"steps": request.steps}
     )
@@ -169,6 +177,7 @@ def _training_job(request: TrainRequest) -> "TrainingJob":
     from armctl.training.run import TrainingJob  # after all that can be misspelt
 
     differences = shaping | {"options": learner_options, "env_options": env_options, "teacher": request.teacher}
+    differences |= {"filter": True} if request.filter else {}
     return TrainingJob(recipe, differences, request.resume)
 
 

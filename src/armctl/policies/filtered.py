@@ -2,14 +2,16 @@
 
 `filtered(NAME)` is such a policy. The filter knows the robot's limits and shape, and sees where it is and what is
 around it (`armctl.control.arm_filter`, `armctl.control.rover_filter`); the policy behind it gets what it declares to
-see.
+see. `FilteredWorlds` are worlds that filter the actions of a learner.
 """
 
 from collections.abc import Mapping
 from typing import Any, Protocol
 
+import gymnasium
 import numpy as np
-from numpy.typing import NDArray
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.control.arm_filter import ArmFilter
 from armctl.control.rover_filter import RoverFilter
@@ -71,21 +73,55 @@ class Filters(Protocol):
         """Return a world's action if it is safe, or else a near one that is."""
 
 
-def filtered(policy: Policy, env: EpisodeVectorEnv | Interface, name: str, chosen: Mapping[str, Any]) -> "Filtered":
-    """Return a policy behind the filter of an environment, with options by name.
+class SafetyFilter:
+    """The filter of n worlds, which counts what it changes.
 
-    Raises `ConfigurationError` for an environment without a filter.
+    Args:
+        env: worlds of armctl's tasks of reaching or of the bridge.
+        name: its name in errors.
+        chosen: options by name: `ArmFilterOptions` or `RoverFilterOptions`.
+
+    Raises `ConfigurationError` for an environment without a filter, and for a wrong option.
+
     """
+
+    def __init__(self, env: EpisodeVectorEnv | Interface, name: str, chosen: Mapping[str, Any]) -> None:
+        self._filters = _make_filters(env, name, chosen)
+        assert isinstance(env, TaskVectorEnv)
+        self._shape, self._range = env.single_action_space.shape, np.ptp(env.task.action_range, axis=0)
+        self.foresight = env.task.foresight
+        self.interventions = np.zeros(env.num_envs, dtype=np.int64)
+        """(n,) number of actions that were changed in each world."""
+        self.sizes = np.zeros(env.num_envs)
+        """(n,) sum of these changes: the largest of an action's numbers, relative to its range."""
+
+    def reset(self, ids: NDArray[np.int32]) -> None:
+        """Begin new episodes in worlds `ids`."""
+        self._filters.reset(ids)
+
+    def __call__(self, actions: Any) -> list[Any]:
+        """Return n safe actions."""
+        return [self._safe(i, action) for i, action in enumerate(actions)]
+
+    def _safe(self, world: int, action: Any) -> Any:
+        """Return a world's safe action; one that is invalid stays as it is, and is told of by others."""
+        if np.shape(action) != self._shape or not np.isfinite(action := np.array(action, dtype=float)).all():
+            return action
+        safe = self._filters.act(world, action)
+        if safe is not action:
+            self.interventions[world] += 1
+            self.sizes[world] += (np.abs(safe - action) / self._range).max()
+        return safe
+
+
+def _make_filters(env: EpisodeVectorEnv | Interface, name: str, chosen: Mapping[str, Any]) -> Filters:
     if not isinstance(env, TaskVectorEnv) or not isinstance(env.task, (ReachTask, BridgeTask)):
         raise ConfigurationError(f"{name}: the safety filter is for armctl's own tasks of reaching and of the bridge")
     if env.normalized:
         raise ConfigurationError(f"{name} acts in physical units, not in worlds with actions='normalized'")
-    filters: Filters
     if isinstance(env.task, ReachTask):
-        filters = ArmFilters(env.task, changed_options(ArmFilterOptions(), chosen, f"option of {name}"))
-    else:
-        filters = RoverFilters(env, changed_options(RoverFilterOptions(), chosen, f"option of {name}"))
-    return Filtered(policy, filters, env)
+        return ArmFilters(env.task, changed_options(ArmFilterOptions(), chosen, f"option of {name}"))
+    return RoverFilters(env, changed_options(RoverFilterOptions(), chosen, f"option of {name}"))
 
 
 class Filtered:
@@ -93,19 +129,15 @@ class Filtered:
 
     sees: Any = "state"
 
-    def __init__(self, policy: Policy, filters: Filters, env: TaskVectorEnv) -> None:
-        self._policy, self._filters = policy, filters
-        self.foresight = tuple(dict.fromkeys((*getattr(policy, "foresight", ()), *env.task.foresight)))
+    def __init__(self, policy: Policy, safety_filter: SafetyFilter) -> None:
+        self._policy, self._filter = policy, safety_filter
+        self.foresight = tuple(dict.fromkeys((*getattr(policy, "foresight", ()), *safety_filter.foresight)))
         self.reads = tuple(dict.fromkeys((*channels_read(policy), "state")))
         self.training_steps = policy.training_steps
         for fact in ("training_minutes", "training_cost", "family", "kind"):
             if hasattr(policy, fact):
                 setattr(self, fact, getattr(policy, fact))
-        self._shape, self._range = env.single_action_space.shape, np.ptp(env.task.action_range, axis=0)
-        self.interventions = np.zeros(env.num_envs, dtype=np.int64)
-        """(n,) number of actions that were changed in each world."""
-        self.intervention_sizes = np.zeros(env.num_envs)
-        """(n,) sum of these changes: the largest of an action's numbers, relative to its range."""
+        self.interventions, self.intervention_sizes = safety_filter.interventions, safety_filter.sizes
 
     @property
     def failures(self) -> Any:
@@ -118,28 +150,53 @@ class Filtered:
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Begin new episodes in worlds `ids`. Raises what the policy raises."""
-        self._filters.reset(ids)
+        self._filter.reset(ids)
         self._policy.reset(ids)
 
     def act(self, observations: Observations) -> Actions:
         """Return safe actions (n, ...). Raises what the policy raises."""
         try:
-            return np.array(self._safe(self._policy.act(observations)))
+            return np.array(self._filter(self._policy.act(observations)))
         except ControllersFailed as error:
-            raise ControllersFailed(error.errors, self._safe(error.actions)) from error
+            raise ControllersFailed(error.errors, self._filter(error.actions)) from error
 
-    def _safe(self, actions: Any) -> list[Any]:
-        return [self._safe_in(i, action) for i, action in enumerate(actions)]
 
-    def _safe_in(self, world: int, action: Any) -> Any:
-        """Return a world's safe action; one that is invalid stays as it is, and is told of by others."""
-        if np.shape(action) != self._shape or not np.isfinite(action := np.array(action, dtype=float)).all():
-            return action
-        safe = self._filters.act(world, action)
-        if safe is not action:
-            self.interventions[world] += 1
-            self.intervention_sizes[world] += (np.abs(safe - action) / self._range).max()
-        return safe
+class FilteredWorlds(gymnasium.vector.VectorWrapper[Any, Any, Any, Any, Any]):
+    """Worlds that filter the actions of a learner, which so explores without contacts.
+
+    They are made with a vector environment of armctl's, before its first reset, and the filter's options by name.
+    Raises `ConfigurationError` as `SafetyFilter` does.
+    """
+
+    def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], **options: Any) -> None:
+        super().__init__(env)
+        worlds: Any = env.unwrapped
+        self._filter = SafetyFilter(worlds, "filter", options)
+        self.executed: NDArray[Any] = np.zeros(env.action_space.shape or ())
+        """(n, ...) last actions after the filter."""
+        self.changed = np.zeros(env.num_envs, dtype=bool)
+        """(n,) whether it has changed them."""
+        worlds.observers.append(self)
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """The environment's."""
+        mode: AutoresetMode = self.env.metadata["autoreset_mode"]
+        return mode
+
+    def step(self, actions: ArrayLike) -> Any:
+        """Make one control step in every world."""
+        previous = self._filter.interventions.copy()
+        self.executed = np.array(self._filter(actions))
+        self.changed = self._filter.interventions > previous
+        return self.env.step(self.executed)
+
+    def began(self, ids: NDArray[np.int32]) -> None:
+        """Take note that worlds `ids` have begun a new episode."""
+        self._filter.reset(ids)
+
+    def stepped(self, awake: NDArray[np.bool_]) -> None:
+        """Take note of a control step."""
 
 
 class ArmFilters:

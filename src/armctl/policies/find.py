@@ -10,7 +10,7 @@ from typing import Any
 
 import gymnasium
 
-from armctl.agents import FILES, load_agent
+from armctl.agents import FILES, OnnxPolicy, load_agent
 from armctl.agents.costs import UNTRAINED
 from armctl.core.errors import FAILURES, ArmctlError, ConfigurationError, described
 from armctl.core.registration import import_attribute, load_installed
@@ -78,7 +78,8 @@ def make_policy(
     `policy` is one of these:
 
     - the name of an installed policy;
-    - the path of a learned agent's `.json` card or `.onnx` graph, or of a folder with `agent.json`;
+    - the path of a learned agent's `.json` card or `.onnx` graph, or of a folder with `agent.json`; one that was
+      trained behind the safety filter also acts behind it;
     - the path of a `.toml` file with an installed policy's options (see `armctl.policies.configuration`), or these
       after its name, `reach_mpc:problem.horizon=12`;
     - `NAME[SEED]`, one training of a recipe (see `armctl.policies.trainings`);
@@ -155,10 +156,21 @@ def loaded(policy: Any) -> Any:
 def _make(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
     if isinstance(policy, str) and (match := FILTERED.fullmatch(policy)) is not None:
         check_policy_name(policy)
-        from armctl.policies.filtered import filtered  # compiled arithmetic takes longer to import than the rest
-
         options = {} if match["options"] is None else options_in(policy, match["options"])
-        return filtered(_make(match["policy"], worlds, streams), worlds, policy, options)
+        return _filtered(_make_unfiltered(match["policy"], worlds, streams), worlds, policy, options)
+    result = _make_unfiltered(policy, worlds, streams)
+    if isinstance(policy, (str, Path)) and isinstance(result, OnnxPolicy) and result.card.filter is not None:
+        return _filtered(result, worlds, str(policy), result.card.filter)
+    return result
+
+
+def _filtered(policy: Policy, worlds: EpisodeVectorEnv | Interface, name: str, options: Mapping[str, Any]) -> Policy:
+    from armctl.policies.filtered import Filtered, SafetyFilter  # compiled arithmetic takes long to import
+
+    return Filtered(policy, SafetyFilter(worlds, name, options))
+
+
+def _make_unfiltered(policy: Any, worlds: EpisodeVectorEnv | Interface, streams: PolicyStreams) -> Policy:
     name = with_agent(str(policy)) if isinstance(policy, (str, Path)) else policy_name(policy)
     source = loaded(policy)
     if isinstance(source, Path):

@@ -20,7 +20,7 @@ SEEDS = "seeds"
 """Folder of further trainings, beside the shipped one: `NAME-SEED.json` and `.onnx`."""
 FIELDS_THAT_MUST_MATCH = (
     "learner", "recipe", "env", "env_options", "training_options", "shaping", "shaping_scale", "reward_weights",
-    "curriculum", "teacher", "interface", "learner_options",
+    "curriculum", "teacher", "filter", "interface", "learner_options",
 )  # fmt: skip
 """Fields of their cards in which trainings of one recipe agree."""
 

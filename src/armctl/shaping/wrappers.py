@@ -105,7 +105,7 @@ class _Difference:
             raise ConfigurationError(f"only armctl's own environments can be shaped; {worlds} is not one of them")
         if worlds.flat_infos:
             raise ConfigurationError("shaping adds to reward_terms, which flat_infos=True takes apart: leave that out")
-        if worlds.observers:
+        if any(isinstance(observer, _Difference) for observer in worlds.observers):
             raise ConfigurationError("this environment is shaped already")
         if not (isinstance(gamma, (int, float)) and 0 <= gamma <= 1):
             raise ConfigurationError(f"gamma is the learner's discount factor, from 0 to 1, not {gamma!r}")

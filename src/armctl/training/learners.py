@@ -63,6 +63,8 @@ class Recipe(BaseModel):
     """Later stages of the training, which differ in `training_options` and `reward_weights`."""
     teacher: str | None = None
     """The policy to learn from: any that `armctl.make_policy` takes."""
+    filter: dict[str, Any] | bool = False
+    """Safety filter of the actions in training, and then of the agent's: true, or its options."""
     seeds: Annotated[list[TrainingSeed], Field(min_length=1)] = [0]
     """Training seeds of the published results."""
     options: dict[str, Any] = {}
@@ -76,6 +78,13 @@ class Recipe(BaseModel):
     def options_in_training(self) -> dict[str, Any]:
         """All options of the environment in training."""
         return self.env_options | self.training_options
+
+    @property
+    def filter_options(self) -> dict[str, Any] | None:
+        """Options of the safety filter; None if there is none."""
+        if isinstance(self.filter, dict):
+            return self.filter
+        return {} if self.filter else None
 
     def at_share(self, share: float) -> "Recipe":
         """Return the recipe with the options and weights that hold after a share of the training's steps."""

@@ -117,7 +117,8 @@ def test_the_curve_is_a_table_of_held_out_episodes(tmp_path):
         training.evaluate(actor, 0)
     with (out / "curve.csv").open() as lines:
         (row,) = csv.DictReader(lines)
-    assert list(row) == ["steps", "minutes", "success", "low", "high", "return", "decisions", "processor_seconds"]
+    columns = "steps,minutes,success,low,high,return,decisions,processor_seconds,contacts,interventions"
+    assert list(row) == columns.split(",")
     worlds = make_worlds("armctl/ArmReach-v0", 4)
     played = list(rollouts(actor, worlds, 4, VALIDATION_SEED))
     assert float(row["return"]) == pytest.approx(np.mean([episode.total_reward for episode in played]))
