@@ -229,7 +229,9 @@ class Training:
         options = self.options
         rewards = {"reward_scale": getattr(options, "reward_scale", 1.0), "reward_weights": recipe.reward_weights}
         env_options = recipe.options_in_training | rewards
-        envs = make_worlds(recipe.env, count, env_options, autoreset_mode="same_step")
+        envs: gymnasium.vector.VectorEnv[Any, Any, Any] = make_worlds(
+            recipe.env, count, env_options, autoreset_mode="same_step"
+        )
         if recipe.shaping is not None:
             envs = Shaped(envs, recipe.shaping, gamma=options.gamma, scale=recipe.shaping_scale)
         return envs if recipe.filter_options is None else FilteredWorlds(envs, **recipe.filter_options)
