@@ -26,7 +26,7 @@ Of a sweep with `--pairs`, it is all tables; of a suite, the headline and the ma
 the table and its caption.
 
 The last comment before the end has a checksum of each policy that the block shows: of its networks, and of its episodes
-in `benchmarks/golden.json`, which is recorded anew whenever episodes change on purpose. A block of the sealed test has
+there in `benchmarks/golden.json`, which is recorded anew whenever episodes change on purpose. A block of the sealed test has
 the seed as well. Where one of them is another today, the block is stale. A record of what can no longer be played is
 not made anew:
 
@@ -185,15 +185,25 @@ def stale(block: re.Match[str]) -> list[str]:
 def checksums(command: str, body: str) -> dict[str, str]:
     """Return a checksum of each policy that a block's command or body names, and the test's seed if it is played."""
     words = set(re.findall(r"\w+", MARKS.sub("", f"{command} {body}").replace("\\", "")))
-    policies = {name: _checksum_of(name) for name in policy_names() if name in words}
+    tasks = _tasks_in(command, body)
+    policies = {name: _checksum_of(name, tasks) for name in policy_names() if name in words}
     return policies | ({TEST: str(TEST_SEED)} if "seed test" in command else {})
 
 
+def _tasks_in(command: str, body: str) -> frozenset[str]:
+    """Return the ids of the environments that a block names; none if it names none."""
+    default = {armctl.DEFAULT_ENV} if re.match(r"armctl (compare|sweep|worst-case) (?!.*--env)", command) else set()
+    return frozenset(default | set(re.findall(r"armctl/\w+-v\d+", f"{command} {body}")))
+
+
 @functools.cache
-def _checksum_of(policy: str) -> str:
+def _checksum_of(policy: str, tasks: frozenset[str]) -> str:
+    """Return a checksum of a policy's networks, and of its episodes in some environments; without any, in all."""
     golden = json.loads((ROOT / "benchmarks" / "golden.json").read_text())
     episodes = {
-        name: [run.get("outcomes"), run.get("lengths")] for name, run in golden.items() if name.endswith(f" {policy}")
+        name: [run.get("outcomes"), run.get("lengths")]
+        for name, run in golden.items()
+        if name.endswith(f" {policy}") and (not tasks or name.split(" ")[0] in tasks)
     }
     agents = ROOT / "rl" / "agents"
     graphs = [agents / f"{policy}.onnx", *sorted((agents / "seeds").glob(f"{policy}-*.onnx"))]
