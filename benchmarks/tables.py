@@ -26,9 +26,9 @@ Of a sweep with `--pairs`, it is all tables; of a suite, the headline and the ma
 the table and its caption.
 
 The last comment before the end has a checksum of each policy that the block shows: of its networks, and of its episodes
-there in `benchmarks/golden.json`, which is recorded anew whenever episodes change on purpose. A block of the sealed test has
-the seed as well. Where one of them is another today, the block is stale. A record of what can no longer be played is
-not made anew:
+there in `benchmarks/golden.json`, which is recorded anew whenever episodes change on purpose. A block of the sealed
+test has the seed as well. Where one of them is another today, the block is stale. A record of what can no longer be
+played is not made anew:
 
     <!-- record of 2026-11-25: reach_sac as it was -->
     <!-- end -->
