@@ -9,7 +9,7 @@ Quarterly 4, 1957).
 import numpy as np
 
 from armctl.kernels.compiling import compiled
-from armctl.kernels.edges import measure_all
+from armctl.kernels.edges import measure, measure_all
 
 STEP = 1e-4
 """rad: step of finite differences."""
@@ -25,6 +25,7 @@ def slide(scene, motion, q, required, moved):
     """
     dof, num_pairs = len(q), len(scene.pairs)
     apart, shifted, place, gradients = np.empty(num_pairs), np.empty(num_pairs), q.copy(), np.empty((num_pairs, dof))
+    no_margins = np.full(num_pairs, -np.inf)
     measure_all(scene, q, apart)
     near = np.zeros(num_pairs, dtype=np.bool_)
     for k in range(num_pairs):
@@ -32,21 +33,22 @@ def slide(scene, motion, q, required, moved):
         for j in range(dof):
             reach += motion[k, j] * abs(moved[j])
         near[k] = apart[k] - reach < required[k]
+        shifted[k] = 0.0 if near[k] else np.inf
     for j in range(dof):
         place[j] = q[j] + STEP
-        measure_all(scene, place, shifted)
+        measure(scene.joints, scene.links, scene.pairs, scene.boxes, place, no_margins, shifted)
         place[j] = q[j]
         for k in range(num_pairs):
             gradients[k, j] = (shifted[k] - apart[k]) / STEP
     multipliers = np.zeros(num_pairs)
     for _ in range(SWEEPS):
-        for k in range(num_pairs):
+        for k in np.flatnonzero(near):
             square = 0.0
             lack = required[k] - apart[k]
             for j in range(dof):
                 square += gradients[k, j] ** 2
                 lack -= gradients[k, j] * moved[j]
-            if near[k] and square > 0:
+            if square > 0:
                 change = max(lack / square, -multipliers[k])
                 multipliers[k] += change
                 for j in range(dof):
