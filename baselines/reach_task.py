@@ -1,4 +1,4 @@
-"""What the reach experts share: the check that they can work in an environment, and places instead of positions."""
+"""Parts that the reach experts share: the check that they can work in an environment, and places for positions."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeVar

@@ -172,7 +172,7 @@ def update(
     rollout: Rollout,
     advantages: torch.Tensor,
 ) -> int:
-    """Improve policy and value by clipped gradient steps; return their number."""
+    """Improve policy and value by clipped gradient steps; return how many."""
     acted = rollout.acted > 0
     returns = (advantages + rollout.values)[acted]
     advantages = advantages[acted]

@@ -31,7 +31,10 @@ def test_equations_are_those_of_pinocchio(robot):
 
 
 def test_joints_follow_their_drives_as_in_mujoco():
-    """Within 0.5 mrad until they rest, where motors are at the limits of their torque as well."""
+    """Within 0.5 mrad until they rest or touch something, where motors are at the limits of their torque as well.
+
+    They brake at once, which is not the back-up of each action: some are safe only if they are held before.
+    """
     n = 8
     worlds, rng = make_worlds("armctl/ArmReach-v0", n), np.random.default_rng(0)
     task, filters, saturated = worlds.task, ArmFilters(worlds.task, ArmFilterOptions()), 0
@@ -41,15 +44,18 @@ def test_joints_follow_their_drives_as_in_mujoco():
         for _ in range(8):
             worlds.step(np.array([filters.act(i, action) for i, action in enumerate(rng.uniform(-3, 3, (n, 6)))]))
         actions = np.array([filters.act(i, action) for i, action in enumerate(rng.uniform(-3, 3, (n, 6)))])
-        rollouts = [rollout_of(filters, i) for i in range(n)]
+        rollouts, touched = [rollout_of(filters, i) for i in range(n)], np.zeros(n, dtype=bool)
         for _ in range(8):
             worlds.step(actions)
+            touched |= task.simulation.array("qfrc_constraint").any(axis=1)
             saturated += int((np.abs(task.simulation.array("qfrc_actuator")) > 149).sum())
             for i, (arm, memory) in enumerate(rollouts):
                 for _ in range(arm.ticks):
                     braking.advance(arm, actions[i], memory)
-                np.testing.assert_allclose(memory.joints.q, task.arm.joint_positions[i], atol=5e-4)
+                if not touched[i]:
+                    np.testing.assert_allclose(memory.joints.q, task.arm.joint_positions[i], atol=5e-4)
                 braking.brake_commands(arm, memory.position, memory.speeds, actions[i])
+        assert touched.sum() <= 1
     assert saturated > 0
 
 

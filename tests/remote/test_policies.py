@@ -219,11 +219,12 @@ def test_code_for_another_python(mine):
     assert "ValueError: five is enough" in played.failures[errs]
     outcomes = {name: set(rows(played, name).outcome) for name in (counts, errs)}
     assert outcomes == {counts: {"timeout"}, errs: {"error"}}
-    left = [
+    hosts = [
         child
         for child in psutil.Process().children(recursive=True)
         if "armctl.remote.host" in " ".join(child.cmdline())
     ]
+    _, left = psutil.wait_procs(hosts, timeout=60)
     assert not left
 
 
