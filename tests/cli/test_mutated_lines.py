@@ -126,8 +126,8 @@ LINES: dict[str, Any] = {
     "train": (
         [("recipe.toml",), ("--steps", "1"), ("--out", "file/inside")],
         [[ARM], SEEDS, [("--shaping", "ik")], [("--shaping-scale", "1.5")], [("--teacher", "reach_ik")],
-         [("--option", "gamma=0.9")], [("--resume",)], [("--filter",)], [("--track", "tensorboard")], [("--threads", "1")],
-         WORKERS, [*ROBOTS, *OPTIONS]],
+         [("--option", "gamma=0.9")], [("--resume",)], [("--filter",)], [("--track", "tensorboard")],
+         [("--threads", "1")], WORKERS, [*ROBOTS, *OPTIONS]],
     ),
 }  # fmt: skip
 """Words of each verb's shortest line, in parts; and choices of parts that may come besides."""
