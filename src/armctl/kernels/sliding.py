@@ -42,14 +42,14 @@ def slide(scene, motion, q, required, moved):
             gradients[k, j] = (shifted[k] - apart[k]) / STEP
     multipliers = np.zeros(num_pairs)
     for _ in range(SWEEPS):
-        for k in np.flatnonzero(near):
+        for pair in np.flatnonzero(near):
             square = 0.0
-            lack = required[k] - apart[k]
+            lack = required[pair] - apart[pair]
             for j in range(dof):
-                square += gradients[k, j] ** 2
-                lack -= gradients[k, j] * moved[j]
+                square += gradients[pair, j] ** 2
+                lack -= gradients[pair, j] * moved[j]
             if square > 0:
-                change = max(lack / square, -multipliers[k])
-                multipliers[k] += change
+                change = max(lack / square, -multipliers[pair])
+                multipliers[pair] += change
                 for j in range(dof):
-                    moved[j] += change * gradients[k, j]
+                    moved[j] += change * gradients[pair, j]
