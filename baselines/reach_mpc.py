@@ -21,7 +21,7 @@ from armctl.control.streaming import CommandStream
 from armctl.core.arrays import Array
 from armctl.core.options import changed_options, options
 from armctl.envs import ModelInterface
-from armctl.estimation.arm_observer import ArmObserver, ArmReadings
+from armctl.estimation.arm_observer import ArmObserver, ArmReadings, StandingObjects
 from armctl.kinematics import ArmModel, MinimumTimeReach, ReachabilityMap
 from armctl.kinematics.room import ROOM, moved_along, with_room
 from armctl.planning import ArmPlanner, ArmPlannerOptions
@@ -106,8 +106,7 @@ class ReachWithMpc:
         self._way: list[Array] = []
         self._guided = False
         self._nearest, self._waited = np.inf, 0
-        self._searches = self._readings = 0
-        self._target_axes = np.zeros(len(self._search.place(self._model.home)) - 3)
+        self._searches, self._axes = 0, StandingObjects()
 
     def plans(self) -> dict[str, Array]:
         """Return planned end-effector positions at the end of each period of the horizon, (N + 1, 3) m."""
@@ -116,9 +115,8 @@ class ReachWithMpc:
     def act(self, observation: NDArray[np.float32]) -> Array:
         """Return joint positions (dof,) to move to, for an observation (6 + dof + k,)."""
         tip, q, target, extra = split(self._search, observation)
-        self._readings += 1
         self._tip_axes = tip[3:]
-        self._target_axes += (target[3:] - self._target_axes) / self._readings
+        self._axes.read(target[3:])
         self._belief.read(tip[:3], q, target[:3], extra[:3] if self._moving else None)
         command = self._goal(extra) - self._belief.load_offset
         self._belief.send(command)
@@ -127,7 +125,7 @@ class ReachWithMpc:
     def _goal(self, extra: Array) -> Array:
         """Return the joint positions (dof,) to move to without a load."""
         belief = self._belief
-        offset = np.concatenate((belief.tip - belief.target, self._tip_axes - self._target_axes))
+        offset = np.concatenate((belief.tip - belief.target, self._tip_axes - self._axes.mean))
         distance = float(np.linalg.norm(offset))
         if self._posture is None:
             return self._first_goal(extra)
@@ -150,7 +148,7 @@ class ReachWithMpc:
 
     def _places(self, positions: Array) -> Array:
         """Return target places (..., 3 or 12) m from positions (..., 3) m, with the axes of a target that has some."""
-        axes = np.broadcast_to(self._target_axes, (*positions.shape[:-1], len(self._target_axes)))
+        axes = np.broadcast_to(self._axes.mean, (*positions.shape[:-1], len(self._axes.mean)))
         return np.concatenate((positions, axes), axis=-1)
 
     def _is_there(self, distance: float) -> bool:
@@ -199,7 +197,7 @@ class ReachWithMpc:
             posture = with_room(self._search.ik, target, q, ROOM)
             if posture is not None:
                 return posture
-        if len(self._target_axes):
+        if len(self._axes.mean):
             place = self._places(target)
             entry = self._search.find(q, place, self._tolerance / 2)
             return self._search.closest(place, q) if entry is None else entry.q
