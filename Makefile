@@ -18,7 +18,8 @@ PIP := $(INSTALL) --quiet --constraint constraints.txt
 NAMED = { $(INSTALL) --progress-bar off --constraint constraints.txt $(1); \
   echo $$? > $(VENV)/status; } | sed -u -n 's/^Collecting \([^ ]*\).*/  \1/p; s/^Installing collected.*/  unpacking: minutes/p'; \
   exit $$(cat $(VENV)/status)
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+# Three at once on two cores: tests often wait, for the disk and for what they have started.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 3 --dist worksteal
 # Tests of what is measured: a third slower so, hence without those that kill, fill disks and reproduce.
 COVERED := tests/stats tests/verdict tests/report/test_tables.py $(patsubst %,tests/study/test_%.py, \
   compare groups pairs sample_size spared suite sweep sweep_by_return task_verdict until_decided worst_case)
@@ -42,13 +43,12 @@ compare: $(VENV)/core
 test: $(VENV)/full
 	$(PYTEST) $(ARGS)
 
-# Three at once on two cores, as slow tests often wait for what they have started.
 test-all: $(VENV)/full
-	$(PYTEST) --numprocesses 3 --all $(ARGS)
+	$(PYTEST) --all $(ARGS)
 
 # In CI, beside `make coverage ARGS=--all`, which runs the others.
 test-uncovered: $(VENV)/full
-	$(PYTEST) --numprocesses 3 --all $(addprefix --ignore=,$(COVERED)) $(ARGS)
+	$(PYTEST) --all $(addprefix --ignore=,$(COVERED)) $(ARGS)
 
 test-thorough: $(VENV)/full
 	$(PYTEST) --all --thorough -m thorough $(ARGS)

@@ -1,6 +1,7 @@
 """`pytest` runs the quick tests, `pytest --all` also the slow ones, and quick ones with their full samples."""
 
 import compileall
+import gc
 import os
 import shutil
 import signal
@@ -55,6 +56,18 @@ def pytest_sessionstart(session):
     installed = {(point.group, point.name): point.value for point in distribution(project["name"]).entry_points}
     if declared.items() - installed.items():
         pytest.exit("pyproject.toml has new entry points: pip install --no-deps --no-build-isolation -e .", 4)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Collect no garbage meanwhile, and never look at modules and tests again: a quarter of a collection's time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
 
 
 @cache

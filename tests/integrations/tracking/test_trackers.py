@@ -11,10 +11,8 @@ from importlib.metadata import EntryPoint
 
 import pandas as pd
 import pytest
-from mlflow import MlflowClient
 from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from wandb.proto.wandb_internal_pb2 import Record
 
 from armctl.cli import completion
 from armctl.core.errors import ConfigurationError
@@ -69,13 +67,21 @@ def trained(home):
     return home / "run", pd.read_csv(home / "run" / "curve.csv"), done.stderr
 
 
+def mlflow_client(home):
+    from mlflow import MlflowClient  # seconds, which the collection of all tests need not take
+
+    return MlflowClient(f"sqlite:///{home / 'mlflow.db'}")
+
+
 def mlflow_runs(home):
-    client = MlflowClient(f"sqlite:///{home / 'mlflow.db'}")
+    client = mlflow_client(home)
     return client.search_runs([client.get_experiment_by_name("armctl").experiment_id])
 
 
 def wandb_records(run):
     """All records of offline runs, oldest first: files of LevelDB's log format, after a header of 7 bytes."""
+    from wandb.proto.wandb_internal_pb2 import Record  # takes a second
+
     for file in sorted((run / "tracking" / "wandb").glob("offline-run-*/*.wandb")):
         content, place, parts = file.read_bytes(), 7, b""
         while place < len(content):
@@ -131,7 +137,7 @@ def test_wandb_has_it_all(trained):
 @pytest.mark.slow
 def test_mlflow_has_it_all(trained, home):
     _, curve, _ = trained
-    client = MlflowClient(f"sqlite:///{home / 'mlflow.db'}")
+    client = mlflow_client(home)
     (found,) = mlflow_runs(home)
     assert (found.info.status, found.info.run_name) == ("FINISHED", "run")
     told = found.data.params
