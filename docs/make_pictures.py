@@ -37,6 +37,7 @@ CLASS_COLOURS = np.array(
 for env_id, name, seed, steps, picture in (
     ("armctl/ArmReach-v0", "reach_ik", 3, 4, "arm_reach.png"),
     ("armctl/ArmPose-v0", "reach_ik", 3, 12, "arm_pose.png"),
+    ("armctl/ArmPush-v0", "push_line", 3, 38, "arm_push.png"),
     (
         "armctl/ArmReachObstacles-v0",
         "reach_ompl",

@@ -3,6 +3,7 @@
 from armctl.core.registration import register
 
 register("armctl/ArmPose-v0", "armctl.tasks:ReachPoseTask", max_episode_steps=150)
+register("armctl/ArmPush-v0", "armctl.tasks:PushTask", max_episode_steps=300)
 register("armctl/ArmReach-v0", "armctl.tasks:ReachTask", max_episode_steps=100)
 register("armctl/ArmReachMoving-v0", "armctl.tasks:ReachMovingTask", max_episode_steps=300)
 register("armctl/ArmReachObstacles-v0", "armctl.tasks:ReachObstaclesTask", max_episode_steps=200)

@@ -12,7 +12,14 @@ from armctl.rollout import evaluate
 from armctl.simulation.worlds import world_path
 from tests.disturbances.disturbed import BRIDGE, REACH, check_single_environments, fields, played, worlds
 
-ENVS = (REACH, "armctl/ArmPose-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", BRIDGE)
+ENVS = (
+    REACH,
+    "armctl/ArmPose-v0",
+    "armctl/ArmPush-v0",
+    "armctl/ArmReachMoving-v0",
+    "armctl/ArmReachObstacles-v0",
+    BRIDGE,
+)
 
 
 @pytest.mark.parametrize("env", ENVS)

@@ -17,6 +17,7 @@ def test_each_environment_names_its_oracles():
     names = {env: potential_names(make(env, 1)) for env in gymnasium.registry if env.startswith("armctl/")}
     assert names == {
         "armctl/ArmPose-v0": ["distance", "ik"],
+        "armctl/ArmPush-v0": ["distance", "push"],
         "armctl/ArmReach-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachMoving-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachObstacles-v0": ["distance", "ik", "mpc", "ompl"],

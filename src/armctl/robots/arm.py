@@ -68,6 +68,7 @@ class Arm:
         self.control = control
         self.period = period
         self._positions, self._velocities = simulation.array("qpos"), simulation.array("qvel")
+        self._is_alone = len(description.joints) == simulation.model.nq
         joints = [simulation.model.joint(PREFIX + name) for name in description.joints]
         self._columns = np.array([joint.qposadr[0] for joint in joints], dtype=np.intp)
         self.end_effector_positions = simulation.array("xpos")[:, simulation.model.body(PREFIX + description.tip).id]
@@ -95,13 +96,13 @@ class Arm:
 
     @property
     def joint_positions(self) -> Array:
-        """Positions (n, dof) of the joints that have a motor, rad; a live view unless others follow them."""
-        return self._positions[:, self._columns] if self.description.followers else self._positions
+        """Positions (n, dof) of the joints that have a motor, rad; a live view if nothing else moves in the world."""
+        return self._positions if self._is_alone else self._positions[:, self._columns]
 
     @property
     def joint_velocities(self) -> Array:
         """The same for their velocities, rad/s."""
-        return self._velocities[:, self._columns] if self.description.followers else self._velocities
+        return self._velocities if self._is_alone else self._velocities[:, self._columns]
 
     @property
     def commands(self) -> Array:
@@ -189,12 +190,13 @@ def _compiled(
     add_impact_sensors(spec, speed_limits(description), round(TICK / spec.option.timestep))
     if furnish is not None:
         furnish(spec, description)
-    home = description.all_positions(description.home)
+    model, joints = spec.compile(), description.all_positions(description.home)
+    home = np.append(joints, model.qpos0[len(joints) :])
     if control == "torque":
         _add_motors(spec, description)
         spec.add_key(name="home", qpos=home)
     else:
-        _add_servos(spec, description, _joint_inertia(spec.compile(), description))
+        _add_servos(spec, description, _joint_inertia(model, description))
         spec.add_key(name="home", qpos=home, act=description.home)
     return spec.compile()
 
@@ -301,10 +303,11 @@ def _joint_inertia(model: mujoco.MjModel, description: ArmDescription) -> Array:
     rng = np.random.default_rng(0)
     mass = np.zeros((model.nv, model.nv))
     coupling, largest = description.coupling[0], np.zeros(description.dof)
+    count = len(coupling)
     sliding, limits = [name in description.sliding for name in description.joints], description.limits
     for q in rng.uniform(-np.pi, np.pi, (200, description.dof)):
-        data.qpos[:] = description.all_positions(np.where(sliding, np.clip(q, limits.lower, limits.upper), q))
+        data.qpos[:count] = description.all_positions(np.where(sliding, np.clip(q, limits.lower, limits.upper), q))
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, mass)
-        largest = np.maximum(largest, np.diag(coupling.T @ mass @ coupling))
+        largest = np.maximum(largest, np.diag(coupling.T @ mass[:count, :count] @ coupling))
     return largest

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         BridgeTask,
     )
     from armctl.tasks.learner_view import FeatureSpec, LearnerView
+    from armctl.tasks.push import PushOptions, PushOutcome, PushState, PushTask
     from armctl.tasks.reach import (
         OBSERVATION,
         REWARD,
@@ -64,6 +65,10 @@ __all__ = [
     "Outcome",
     "PoseReachState",
     "Potential",
+    "PushOptions",
+    "PushOutcome",
+    "PushState",
+    "PushTask",
     "ReachMovingOptions",
     "ReachMovingTask",
     "ReachObstaclesOptions",

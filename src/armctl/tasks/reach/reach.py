@@ -64,8 +64,8 @@ class ReachTask(Task):
     """n arms, each with its target."""
 
     options_type: ClassVar[type[Any]] = ReachOptions
-    outcomes = ReachOutcome
-    possible_outcomes: ClassVar[tuple[ReachOutcome, ...]] = (ReachOutcome.REACHED, ReachOutcome.TIMEOUT)
+    outcomes: ClassVar[type[Outcome]] = ReachOutcome
+    possible_outcomes: ClassVar[tuple[Outcome, ...]] = (ReachOutcome.REACHED, ReachOutcome.TIMEOUT)
     instruction: ClassVar[str] = "Move the end-effector to the target."
     default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_ppo", "random")
     disturbances = ARM

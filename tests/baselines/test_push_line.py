@@ -1,0 +1,45 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl.core.errors import ConfigurationError
+from armctl.envs import make_worlds
+from armctl.policies import make_policy
+
+ENV = "armctl/ArmPush-v0"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["ur5", "panda"])
+def test_places_the_object(robot):
+    played = armctl.evaluate(
+        "push_line", ENV, episodes=10, worlds=10, seed=301, env_options={"robot": robot}, lower_bound_steps=False
+    )
+    assert played["success"].sum() >= 9
+
+
+def test_lifts_the_tool_and_comes_back_when_the_object_has_drifted_off():
+    env = make_worlds(ENV, 1, options={})
+    observations, _ = env.reset(seed=301)
+    policy: Any = make_policy("push_line", env)
+    policy.reset(np.zeros(1, dtype=np.int32))
+    (expert,), phases = policy.controllers, []
+    for step in range(60):
+        observations, *_ = env.step(policy.act(observations))
+        if step == 40:
+            env.task._object_qpos[0, :2] = 0.5, 0.0
+            env.task.simulation.refresh()
+        if not phases or phases[-1] != expert._phase.value:
+            phases.append(expert._phase.value)
+    assert phases[:3] == ["over", "down", "push"]
+    assert "up" in phases[3:]
+
+
+@pytest.mark.parametrize("options", [{"control": "velocity"}, {"observation": "features"}])
+def test_refuses_what_it_cannot_play(options):
+    with pytest.raises(ConfigurationError, match="push_line"):
+        make_policy("push_line", make_worlds(ENV, 1, options))
+    with pytest.raises(ConfigurationError, match="ArmPush"):
+        make_policy("push_line", make_worlds("armctl/ArmReach-v0", 1, {}))
