@@ -21,8 +21,9 @@ from armctl.core.arrays import Array
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, make_worlds
 from armctl.estimation import ArmObserver, DriveObserver, KalmanFilter
 from armctl.estimation.kalman import constant_velocity
+from armctl.kernels.braking import ArmState
 from armctl.kinematics import ArmModel
-from armctl.policies.filtered import ArmFilterOptions, ArmFilters, Filters, RoverFilterOptions, RoverFilters
+from armctl.policies.robot_filters import ArmFilterOptions, ArmFilters, Filters, RoverFilterOptions, RoverFilters
 
 ARM_PERIOD, ROVER_PERIOD = 0.04, 0.1
 NOISE = 0.01
@@ -89,9 +90,9 @@ def arm_filter(steps: int) -> Step:
     taken: list[Any] = []
 
     def act(i: int) -> Array:
-        action = rng.uniform(low, high)
-        taken.append((filters.state(i), action))
-        return filters.act(i, action)
+        action, state = rng.uniform(low, high), filters.states()[i]
+        taken.append((ArmState(*state.reshape(4, -1)), action))
+        return filters.act(i, action, state)
 
     play(worlds, (filters, timed), act, steps)
     return lambda i: timed.filters[i % WORLDS](*taken[i])
@@ -106,7 +107,7 @@ def rover_filter(steps: int) -> Step:
     taken: list[Any] = []
 
     def act(i: int) -> Array:
-        taken.append((*filters.inputs(i), rng.uniform(low, high)))
+        taken.append((*filters.inputs(i, filters.states()[i]), rng.uniform(low, high)))
         return filters.filters[i](*taken[-1])
 
     play(worlds, (filters, timed), act, steps)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from armctl.control.rover_filter import RoverFilter, lifts
 from armctl.envs import make_worlds
 from armctl.kernels import rover_filter as kernel
-from armctl.policies.filtered import rover_model
+from armctl.policies.robot_filters import rover_model
 from armctl.scene import BridgeMap
 
 WORLDS = make_worlds("armctl/BridgeCross-v0", 16, {"blocks": 0, "deck_width": 20.0, "missing_barriers": 0})

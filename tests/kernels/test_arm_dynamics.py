@@ -9,7 +9,7 @@ from armctl.kernels import braking
 from armctl.kernels.arm_dynamics import compute_equations, equations_of, joints_of, place_joints
 from armctl.kinematics import ArmModel
 from armctl.kinematics.records import body_records
-from armctl.policies.filtered import ArmFilterOptions, ArmFilters
+from armctl.policies.robot_filters import ArmFilterOptions, ArmFilters
 
 
 @pytest.mark.parametrize("robot", ["ur5", "ur10"])
@@ -42,8 +42,8 @@ def test_joints_follow_their_drives_as_in_mujoco():
     filters.reset(np.arange(n, dtype=np.int32))
     for _ in range(3):
         for _ in range(8):
-            worlds.step(np.array([filters.act(i, action) for i, action in enumerate(rng.uniform(-3, 3, (n, 6)))]))
-        actions = np.array([filters.act(i, action) for i, action in enumerate(rng.uniform(-3, 3, (n, 6)))])
+            worlds.step(safe_actions(filters, rng.uniform(-3, 3, (n, 6))))
+        actions = safe_actions(filters, rng.uniform(-3, 3, (n, 6)))
         rollouts, touched = [rollout_of(filters, i) for i in range(n)], np.zeros(n, dtype=bool)
         for _ in range(8):
             worlds.step(actions)
@@ -59,8 +59,12 @@ def test_joints_follow_their_drives_as_in_mujoco():
     assert saturated > 0
 
 
+def safe_actions(filters, actions):
+    return np.array([filters.act(i, *values) for i, values in enumerate(zip(actions, filters.states(), strict=True))])
+
+
 def rollout_of(filters, world):
-    arm, state = filters.filters[world].arm, filters.state(world)
+    arm, state = filters.filters[world].arm, braking.ArmState(*filters.states()[world].reshape(4, -1))
     memory = braking.memory_of(arm)
     braking.start(arm, state, np.full(len(arm.scene.pairs), 9.0), memory)
     return arm, memory

@@ -12,8 +12,9 @@ from armctl.kernels import braking
 from armctl.kernels.edges import measure_all
 from armctl.kinematics import ArmModel, ArmShapes
 from armctl.policies import make_policy
-from armctl.policies.filtered import ArmFilterOptions, ArmFilters
+from armctl.policies.filtered import SafetyFilter
 from armctl.policies.names import check_policy_name
+from armctl.policies.robot_filters import ArmFilterOptions, ArmFilters
 from armctl.robot_description.joint_profiles import TICK
 from armctl.scene import NO_BOXES
 from armctl.study import compare, sweep
@@ -34,13 +35,14 @@ def test_one_command_after_another_keeps_the_margin():
     for step in range(48):
         if step % 6 == 0:
             actions = rng.uniform(low, high, (n, 6))
-        safe = [filters.act(i, action) for i, action in enumerate(actions)]
+        states = filters.states()
+        safe = [filters.act(i, *values) for i, values in enumerate(zip(actions, states, strict=True))]
         changed += sum(one is not action for one, action in zip(safe, actions, strict=True))
         worlds.step(np.array(safe))
         for i in range(n):
             arm = filters.filters[i].arm
             apart = np.empty(len(arm.scene.pairs))
-            measure_all(arm.scene, filters.state(i).joints, apart)
+            measure_all(arm.scene, worlds.task.arm.joint_positions[i], apart)
             assert (apart >= np.minimum(arm.margin, arm.caps) - 5e-4).all()
     assert changed > 0
 
@@ -80,6 +82,34 @@ def test_random_actions_of_a_rover_touch_nothing(env):
     safe, random = episodes.results.by_policy().values()
     assert {one.outcome for one in safe} == {"timeout"}
     assert sum(one.outcome in ("collided", "fell") for one in random) >= 2
+
+
+@pytest.mark.parametrize(("env", "delay"), [(OBSTACLES, 3), (MOVING, 4)])
+def test_delayed_actions_are_judged_where_they_act(env, delay):
+    """Random commands show the delay within as many control steps and two; predictions are where the robots get to."""
+    n, rng = 4, np.random.default_rng(0)
+    worlds = make_worlds(env, n, {"disturbances": {"delay": delay}}, autoreset_mode="disabled")
+    safe = SafetyFilter(worlds, "filter", {})
+    worlds.reset(seed=300)
+    safe.reset(np.arange(n, dtype=np.int32))
+    laws: Any = safe._filters
+    low, high = worlds.task.action_range
+    predictions: list[Any] = []
+    for _ in range(delay + 8):
+        actions = safe(rng.uniform(low, high, (n, len(low))))
+        predictions.append(safe._delays.predict(laws.law(laws.states(), safe._delays.sent[delay]), laws.law))
+        worlds.step(np.array(actions))
+    assert (safe.delay == delay).all()
+    errors = np.abs(predictions[-delay - 1] - laws.states())
+    assert errors[:, :2].max() < (1e-9 if env == OBSTACLES else 0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("env", "delay"), [(OBSTACLES, 4), (MOVING, 2)])
+def test_delayed_random_actions_touch_nothing(env, delay):
+    options: Any = {"env_options": {"disturbances": {"delay": delay}}, "worlds": 6, "policy_seed": 1}
+    episodes = compare(["filtered(random)"], env, episodes=6, seed=301, **options)
+    assert {one.outcome for one in episodes.results} <= {"timeout", "reached"}
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import numpy as np
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
+from armctl.kernels import arm_filter as kernel
 from armctl.kernels import braking
 from armctl.kernels.edges import NEAR_START, Scene, measure_all
 from armctl.kinematics import ArmShapes
@@ -48,10 +49,10 @@ class ArmFilter:
             HELD if to_positions else 0, (TIME_STEP, round(TICK / TIME_STEP)),
         )  # fmt: skip
 
-        self._plan = braking.Plan(np.empty(model.dof), np.zeros(1, dtype=np.int64))
+        self._plan = kernel.Plan(np.empty(model.dof), np.zeros(1, dtype=np.int64))
 
     def __call__(self, state: braking.ArmState, proposal: Array) -> Array:
         """Return the proposed command (dof,) if it is safe, or else a near one that is."""
         command = np.empty(len(proposal))
-        braking.nearest_safe(self.arm, state, proposal, self._plan, command)
+        kernel.nearest_safe(self.arm, state, proposal, self._plan, command)
         return command

@@ -52,12 +52,14 @@ class RoverFilter:
         self._backup, self._step = kernel.Backup(kernel.BRAKE, 0, 0.0, 0.0), 0
         self._number = 0
 
-    def __call__(self, bridge: BridgeMap, state: Array, pitch: float, time: float, proposal: Array) -> Array:
+    def __call__(
+        self, bridge: BridgeMap, state: Array, pitch: float, time: float, proposal: Array, further: float = 0.0
+    ) -> Array:
         """Return the proposed command (2,) if it is safe, or else a near one that is; `state` (10,) at a time (s).
 
-        The `pitch` (rad) is positive if the nose is down.
+        The `pitch` (rad) is positive if the nose is down. `further` (m) is kept from all, since the state may be wrong.
         """
-        world = self._surroundings(bridge, time)
+        world = self._surroundings(bridge, time, further)
         fallback = np.array(kernel.command_of(self._backup, self._step, state[2]))
         ahead = float(state[3] * np.cos(state[2]) + state[4] * np.sin(state[2]))
         chosen = None if lifts(proposal, ahead, pitch) else self._choose(world, state, proposal[None])
@@ -81,8 +83,8 @@ class RoverFilter:
         apart = float(kernel.people_clearance(self._rover, state, present, world.radius, row))
         for share in SHARES:
             less = world._replace(
-                margin=share * min(self._margin, max(still, 0.0)),
-                people_margin=share * min(self._people_margin, max(apart, 0.0)), drift=share * self._drift,
+                margin=share * min(world.margin, max(still, 0.0)),
+                people_margin=share * min(world.people_margin, max(apart, 0.0)), drift=share * self._drift,
             )  # fmt: skip
             chosen = self._choose(less, state, actions, is_first=False)
             if chosen is not None:
@@ -103,11 +105,12 @@ class RoverFilter:
         self._step, self._number = 0, b
         return np.asarray(actions[a])
 
-    def _surroundings(self, bridge: BridgeMap, time: float) -> kernel.Surroundings:
+    def _surroundings(self, bridge: BridgeMap, time: float, further: float = 0.0) -> kernel.Surroundings:
         people = bridge.pedestrians
         blocks, half_width, length = bridge.deck
         positions = np.ascontiguousarray(people.positions(time + self._ahead))
         lanes = np.ascontiguousarray(np.hstack((people.start, people.end)))
         return kernel.Surroundings(
-            blocks, half_width, length, positions, lanes, people.radius, self._margin, self._people_margin, self._drift
-        )
+            blocks, half_width, length, positions, lanes, people.radius, self._margin + further,
+            self._people_margin + further, self._drift,
+        )  # fmt: skip

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.arrays import Array
-from armctl.kernels.arm import MATRIX, VECTOR, carried, cross, forward, turned
-from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.arm import MATRIX, VECTOR, forward
+from armctl.kernels.compiling import compiled, copy_to, inlined
 
 BODY = np.dtype(
     [
@@ -60,7 +60,8 @@ class Equations(NamedTuple):
     weight: Array
     """(dof,) N m, which hold the arm."""
     torques: Array
-    """(dof,) memory."""
+    """(dof,) memory, as `damping`."""
+    damping: Array
     composite: Composite
     axes: Array
     """(dof, 3) angular velocity by each joint."""
@@ -81,48 +82,62 @@ def equations_of(dof):
         np.empty(dof), np.empty((dof, 3)), np.empty((dof, 3, 3)), np.empty((dof, 3)), np.empty((dof, 3))
     )
     return Equations(
-        np.empty((dof, dof)), np.empty((dof, dof)), np.empty(dof), np.empty(dof), np.empty(dof), composite,
-        np.empty((dof, 3)), np.empty((dof, 3)),
+        np.empty((dof, dof)), np.empty((dof, dof)), np.empty(dof), np.empty(dof), np.empty(dof), np.empty(dof),
+        composite, np.empty((dof, 3)), np.empty((dof, 3)),
     )  # fmt: skip
 
 
-@compiled
+@inlined
 def dot(a, b):
     """Return the scalar product of vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
-def add_body(body, rotation, origin, motion, composite, k):
-    """Set row k of `composite` to one body, and what it needs to move as the rows of `motion` (4, 3) say.
+@inlined
+def plus(a, b, share=1.0):
+    """Return a + share b of vectors (3,)."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+@inlined
+def crossed(a, b):
+    """Return the cross product of vectors (3,)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def times(matrix, vector):
+    """Return the product of a matrix (3, 3) and a vector (3,)."""
+    return (
+        matrix[0, 0] * vector[0] + matrix[0, 1] * vector[1] + matrix[0, 2] * vector[2],
+        matrix[1, 0] * vector[0] + matrix[1, 1] * vector[1] + matrix[1, 2] * vector[2],
+        matrix[2, 0] * vector[0] + matrix[2, 1] * vector[1] + matrix[2, 2] * vector[2],
+    )
+
+
+@inlined
+def add_body(body, k, state, motion, composite):
+    """Set row k of `composite` to one body, and what it needs to move as `motion` says, four vectors.
 
     These are angular velocity, velocity, angular acceleration and acceleration of the base's origin, moving along.
     """
-    centre, speed, turn, inertia = np.empty(3), np.empty(3), np.empty(3), composite.second[k]
-    force, moment = composite.force[k], composite.moment[k]
-    carried(rotation, origin, body.centre, centre)
+    rotation, inertia, (angular, linear, turning, lifting) = state.rotations[k], composite.second[k], motion
+    centre = plus(times(rotation, body.centre), state.origins[k])
     for i in range(3):
+        row = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+        moments = times(body.inertia, row)
         for j in range(3):
-            total = 0.0
-            for m in range(3):
-                total += dot(rotation[i], body.inertia[m]) * rotation[j, m]
-            inertia[i, j] = total
-    cross(motion[0], centre, speed)
-    for i in range(3):
-        speed[i] += motion[1, i]
-    cross(motion[0], speed, force)
-    cross(motion[2], centre, turn)
-    for i in range(3):
-        force[i] = body.mass * (force[i] + turn[i] + motion[3, i])
-        speed[i] = dot(inertia[i], motion[0])
-    cross(motion[0], speed, moment)
-    cross(centre, force, turn)
+            inertia[i, j] = moments[0] * rotation[j, 0] + moments[1] * rotation[j, 1] + moments[2] * rotation[j, 2]
+    speed = plus(crossed(angular, centre), linear)
+    force = plus(plus(crossed(angular, speed), crossed(turning, centre)), lifting)
+    force = force[0] * body.mass, force[1] * body.mass, force[2] * body.mass
+    moment = plus(crossed(angular, times(inertia, angular)), times(inertia, turning))
+    moment = plus(moment, crossed(centre, force))
     square = dot(centre, centre)
     composite.mass[k] = body.mass
     for i in range(3):
         composite.first[k, i] = body.mass * centre[i]
-        moment[i] += dot(inertia[i], motion[2]) + turn[i]
-    for i in range(3):
+        composite.force[k, i], composite.moment[k, i] = force[i], moment[i]
         for j in range(3):
             inertia[i, j] += body.mass * ((square if i == j else 0.0) - centre[i] * centre[j])
 
@@ -130,19 +145,18 @@ def add_body(body, rotation, origin, motion, composite, k):
 @compiled
 def add_bodies(joints, bodies, state, equations):
     """Compute `axes` and `levers` of equations, and `composite` of each body alone."""
-    motion, turn = np.zeros((4, 3)), np.empty(3)
+    rest = 0.0, 0.0, 0.0
+    angular, linear, turning, lifting = rest, rest, rest, rest
     for k in range(len(joints)):
-        axis, lever, velocity = equations.axes[k], equations.levers[k], state.velocity[k]
-        turned(state.rotations[k], joints[k].axis, axis)
-        cross(state.origins[k], axis, lever)
+        velocity = state.velocity[k]
+        axis = times(state.rotations[k], joints[k].axis)
+        lever = crossed(state.origins[k], axis)
         for i in range(3):
-            motion[0, i] += axis[i] * velocity
-            motion[1, i] += lever[i] * velocity
-        for part in range(3):
-            cross(motion[1 if part == 1 else 0], lever if part == 2 else axis, turn)
-            for i in range(3):
-                motion[2 if part == 0 else 3, i] += turn[i] * velocity
-        add_body(bodies[k], state.rotations[k], state.origins[k], motion, equations.composite, k)
+            equations.axes[k, i], equations.levers[k, i] = axis[i], lever[i]
+        angular, linear = plus(angular, axis, velocity), plus(linear, lever, velocity)
+        turning = plus(turning, crossed(angular, axis), velocity)
+        lifting = plus(plus(lifting, crossed(linear, axis), velocity), crossed(angular, lever), velocity)
+        add_body(bodies[k], k, state, (angular, linear, turning, lifting), equations.composite)
 
 
 @compiled
@@ -150,7 +164,7 @@ def compute_equations(joints, bodies, state, equations):
     """Compute the equations of motion at a state of the joints, with their places."""
     add_bodies(joints, bodies, state, equations)
     mass, first, second, force, moment = equations.composite
-    linear, angular, dof = np.empty(3), np.empty(3), len(joints)
+    dof = len(joints)
     for k in range(dof - 1, -1, -1):
         axis, lever = equations.axes[k], equations.levers[k]
         if k + 1 < dof:
@@ -163,17 +177,14 @@ def compute_equations(joints, bodies, state, equations):
                     second[k, i, j] += second[k + 1, i, j]
         equations.bias[k] = dot(axis, moment[k]) + dot(lever, force[k])
         equations.weight[k] = GRAVITY * (axis[0] * first[k, 1] - axis[1] * first[k, 0] + lever[2] * mass[k])
-        cross(axis, first[k], linear)
-        cross(first[k], lever, angular)
-        for i in range(3):
-            linear[i] += mass[k] * lever[i]
-            angular[i] += dot(second[k, i], axis)
+        linear = plus(crossed(axis, first[k]), lever, mass[k])
+        angular = plus(crossed(first[k], lever), times(second[k], axis))
         for j in range(k + 1):
             coupling = dot(equations.axes[j], angular) + dot(equations.levers[j], linear)
             equations.mass[j, k] = equations.mass[k, j] = coupling
 
 
-@compiled
+@inlined
 def factor(matrix):
     """Factor a positive definite matrix (n, n) in place: its lower triangle becomes Cholesky's."""
     for j in range(len(matrix)):
@@ -184,7 +195,7 @@ def factor(matrix):
             matrix[i, j] = np.sqrt(total) if i == j else total / matrix[j, j]
 
 
-@compiled
+@inlined
 def solve(lower, values):
     """Solve lower lower^T x = values (n,) in place."""
     n = len(values)
@@ -198,7 +209,7 @@ def solve(lower, values):
         values[i] /= lower[i, i]
 
 
-@compiled
+@inlined
 def place_joints(joints, state):
     """Compute where joints are."""
     forward(joints, state.q, state.rotations, state.origins)
@@ -217,16 +228,21 @@ def follow_drives(joints, bodies, state, drives, equations, step, moved):
     compute_equations(joints, bodies, state, equations)
     for i in range(dof):
         moved[i] = 0.0
-    for _ in range(steps):
+    for step in range(steps):
+        is_same = step > 0
         for i in range(dof):
-            copy_to(equations.mass[i], lower[i])
             servo = bodies[i].stiffness * (position[i] - state.q[i])
             servo += bodies[i].damping * (speed[i] - state.velocity[i]) + equations.weight[i]
-            if abs(servo) <= bodies[i].effort:
-                lower[i, i] += timestep * bodies[i].damping
+            damping = timestep * bodies[i].damping if abs(servo) <= bodies[i].effort else 0.0
+            is_same &= damping == equations.damping[i]
+            equations.damping[i] = damping
             servo = min(max(servo, -bodies[i].effort), bodies[i].effort)
             torques[i] = timestep * (servo - equations.weight[i] - equations.bias[i])
-        factor(lower)
+        if not is_same:
+            for i in range(dof):
+                copy_to(equations.mass[i], lower[i])
+                lower[i, i] += equations.damping[i]
+            factor(lower)
         solve(lower, torques)
         for i in range(dof):
             state.velocity[i] += torques[i]

@@ -13,22 +13,17 @@ from armctl.core.arrays import Array
 from armctl.kernels.arm_dynamics import Equations, Joints, equations_of, follow_drives, joints_of, place_joints
 from armctl.kernels.capsules import place
 from armctl.kernels.compiling import compiled, copy_to
-from armctl.kernels.drives import drive_joints, follow_all, limited
+from armctl.kernels.drives import drive_joints
 from armctl.kernels.edges import Scene, distance, interpolate, measure_all
-from armctl.kernels.sliding import slide
 
 MAX_TICKS = 1000
 """Ticks after which joints that still move count as unsafe."""
+SAG = 0.01
+"""m by which pairs are nearer where joints rest than where drives do, at most."""
 AT_REST = 1e-4
 """rad/s of drives, and rad by which joints move in a tick, at most, if they rest."""
 FINEST = 1 / 16
 """Share of a tick: 2 mm at 4 m/s."""
-BISECTIONS = 4
-"""Halvings of the segment between the braking and the proposed command."""
-ALONG = 3
-"""Commands along what is in the way: whole, and halved twice."""
-CURVATURE = 0.001
-"""m more than they keep at least: distances are not linear."""
 
 
 class FilteredArm(NamedTuple):
@@ -63,15 +58,6 @@ class ArmState(NamedTuple):
     velocity: Array
     joints: Array
     joint_velocity: Array
-
-
-class Plan(NamedTuple):
-    """Back-up of the last safe command: it is held for so many further periods, and then all joints brake."""
-
-    command: Array
-    """(dof,)."""
-    periods: NDArray[np.int64]
-    """(1,)."""
 
 
 class Memory(NamedTuple):
@@ -110,19 +96,24 @@ def memory_of(arm):
 
 
 @compiled
-def brake_commands(arm, q, velocity, commands):
-    """Compute the `commands` (dof,) that stop drives at `q` with `velocity` (dof,) as soon as they can.
-
-    Positions are where the joints come to rest if their speeds drop by the full acceleration in each tick.
-    """
+def stopping_places(arm, q, velocity, places):
+    """Compute where (dof,) drives at `q` with `velocity` (dof,) stop: by the full acceleration in each tick."""
     tick = arm.step[0] * arm.step[1]
     for i in range(len(q)):
-        commands[i] = 0.0
-        if arm.to_positions:
-            step = arm.scene.joints[i].acceleration * tick
-            whole = np.floor(abs(velocity[i]) / step)
-            braking = tick * (whole * abs(velocity[i]) - step * whole * (whole + 1) / 2)
-            commands[i] = q[i] + np.sign(velocity[i]) * braking
+        step = arm.scene.joints[i].acceleration * tick
+        whole = np.floor(abs(velocity[i]) / step)
+        braking = tick * (whole * abs(velocity[i]) - step * whole * (whole + 1) / 2)
+        places[i] = q[i] + np.sign(velocity[i]) * braking
+
+
+@compiled
+def brake_commands(arm, q, velocity, commands):
+    """Compute the `commands` (dof,) that stop drives at `q` with `velocity` (dof,) as soon as they can."""
+    if arm.to_positions:
+        stopping_places(arm, q, velocity, commands)
+    else:
+        for i in range(len(q)):
+            commands[i] = 0.0
 
 
 @compiled
@@ -196,6 +187,39 @@ def start(arm, state, apart, memory):
 
 
 @compiled
+def after_period(arm, states, commands):
+    """Move arms at `states` (n, 4, dof), the numbers of `ArmState`, by a period under `commands` (n, dof)."""
+    memory, apart, dof = memory_of(arm), np.empty(len(arm.scene.pairs)), commands.shape[1]
+    for row in range(len(states)):
+        state = states[row]
+        start(arm, ArmState(state[0], state[1], state[2], state[3]), apart, memory)
+        for _ in range(arm.ticks):
+            advance(arm, commands[row], memory)
+        copy_to(memory.position, state[0])
+        copy_to(memory.speeds[:dof], state[1])
+        copy_to(memory.joints.q, state[2])
+        copy_to(memory.joints.velocity, state[3])
+
+
+@compiled
+def drives_after_period(arm, states, commands):
+    """Do the same for drives, in a fraction of the time: joints keep their velocities."""
+    tick, dof = arm.step[0] * arm.step[1], commands.shape[1]
+    speeds = np.empty(2 * dof)
+    for row in range(len(states)):
+        position, velocity, joints, joint_velocity = states[row, 0], states[row, 1], states[row, 2], states[row, 3]
+        copy_to(velocity, speeds[:dof])
+        for _ in range(arm.ticks):
+            drive_joints(
+                arm.scene.joints, commands[row], arm.to_positions, joints, position, speeds, arm.following_error, tick
+            )
+            for i in range(dof):
+                position[i] += tick * speeds[i]
+                joints[i] += tick * joint_velocity[i]
+        copy_to(speeds[:dof], velocity)
+
+
+@compiled
 def is_at_rest(memory):
     """Return True if drives and joints rest."""
     for i in range(len(memory.moved)):  # noqa: SIM110 (generators cannot be compiled)
@@ -205,118 +229,62 @@ def is_at_rest(memory):
 
 
 @compiled
-def stops_safely(arm, state, apart, command, periods, memory):
+def keeps_clear_for(arm, ticks, command, memory):
+    """Return True if an arm keeps clear in so many ticks under a command (dof,)."""
+    for _ in range(ticks):
+        advance(arm, command, memory)
+        if not keeps_clear(arm, memory):
+            return False
+    return True
+
+
+@compiled
+def stops_safely(arm, periods, command, memory):
     """Return True if so many periods under a command (dof,), and the braking after them, keep clear."""
-    start(arm, state, apart, memory)
     for tick in range(MAX_TICKS):
-        if tick >= arm.ticks and is_at_rest(memory):
+        if is_at_rest(memory):
             return True
         if tick == periods * arm.ticks:
             brake_commands(arm, memory.position, memory.speeds, memory.brake)
-        advance(arm, command if tick < periods * arm.ticks else memory.brake, memory)
-        if not keeps_clear(arm, memory):
+        if not keeps_clear_for(arm, 1, command if tick < periods * arm.ticks else memory.brake, memory):
             return False
     return False
 
 
 @compiled
+def stops_apart(arm, periods, command, memory):
+    """Return False if drives that brake after so many periods under a command (dof,) stop where a pair is too near.
+
+    Joints rest beside their drives, so pairs may be nearer by `SAG` there. That is far less work than a rollout.
+    """
+    tick, dof, distances = arm.step[0] * arm.step[1], len(command), np.empty(len(arm.scene.pairs))
+    place, speeds, stop = memory.position.copy(), memory.speeds.copy(), np.empty(dof)
+    for _ in range(periods * arm.ticks):
+        drive_joints(arm.scene.joints, command, arm.to_positions, place, place, speeds, arm.following_error, tick)
+        for i in range(dof):
+            place[i] += tick * speeds[i]
+    stopping_places(arm, place, speeds, stop)
+    measure_all(arm.scene, stop, distances)
+    for k in range(len(distances)):  # noqa: SIM110 (generators cannot be compiled)
+        if distances[k] < memory.required[k] - SAG:
+            return False
+    return True
+
+
+@compiled
 def safe_periods(arm, state, apart, command, memory):
     """Return for how many periods a command (dof,) may be held before braking, of the back-ups' two; -1 if neither."""
+    start(arm, state, apart, memory)
+    if not keeps_clear_for(arm, arm.ticks, command, memory):
+        return -1
+    dof, joints = len(command), memory.joints
+    second = ArmState(memory.position.copy(), memory.speeds[:dof].copy(), joints.q.copy(), joints.velocity.copy())
+    apart_then, moved = memory.apart.copy(), memory.moved.copy()
     for periods in (0, arm.held):
-        if stops_safely(arm, state, apart, command, 1 + periods, memory):
+        start(arm, second, apart_then, memory)
+        copy_to(moved, memory.moved)
+        if stops_apart(arm, periods, command, memory) and stops_safely(arm, periods, command, memory):
             return periods
-    return -1
-
-
-@compiled
-def effective(arm, state, command, target):
-    """Compute the `target` (dof,) of least size that moves drives in the next period as a command (dof,) does.
-
-    It is where they stop if they brake after it, or their velocities then.
-    """
-    joints, tick = arm.scene.joints, arm.step[0] * arm.step[1]
-    position, velocity = state.position.copy(), state.velocity.copy()
-    if arm.to_positions:
-        follow_all(joints, command, position, velocity, arm.ticks, tick)
-        brake_commands(arm, position, velocity, target)
-        return
-    for i in range(len(command)):
-        target[i] = limited(command[i], velocity[i], joints[i].top, joints[i].acceleration, arm.ticks * tick)
-
-
-@compiled
-def square_distance(first, second):
-    """Return the squared distance of two commands (dof,)."""
-    square = 0.0
-    for i in range(len(first)):
-        square += (first[i] - second[i]) ** 2
-    return square
-
-
-@compiled
-def along(arm, target, brake, required, command):
-    """Compute the `command` (dof,) that moves joints as to a target (dof,), but along what is in the way.
-
-    Both are relative to the command that brakes: where joints come to rest, or no velocities.
-    """
-    for i in range(len(target)):
-        command[i] = target[i] - brake[i]
-    slide(arm.scene, arm.motion, brake, required, command)
-    for i in range(len(target)):
-        command[i] += brake[i]
-
-
-@compiled
-def alternative(number, aims, shares, tried):
-    """Compute command `number` of those `tried` (dof,): between a target and the back-up, by one joint, or along.
-
-    `aims` are the target, the back-up, the command that brakes, and the one along what is in the way, (dof,) each, and
-    `shares` the bounds of the bisection.
-    """
-    (target, backup, brake, aside), dof = aims, len(tried)
-    for i in range(dof):
-        if number < BISECTIONS:
-            tried[i] = backup[i] + (shares[0] + shares[1]) / 2 * (target[i] - backup[i])
-        elif number < BISECTIONS + dof:
-            tried[i] = brake[i] if i == number - BISECTIONS else target[i]
-        elif number < BISECTIONS + 2 * dof:
-            tried[i] = target[i] if i == number - BISECTIONS - dof else brake[i]
-        else:
-            tried[i] = brake[i] + 0.5 ** (number - BISECTIONS - 2 * dof) * (aside[i] - brake[i])
-
-
-@compiled
-def nearest_safe(arm, state, proposal, plan, command):
-    """Compute the safe `command` (dof,) nearest to a `proposal`: the same, or one of some, by the distance of effects.
-
-    These are on the segment between the proposal's effect and the back-up of the last command, the `plan`; or brake one
-    joint, or all but one; or go along what is in the way. If none is safe, it is that back-up.
-    """
-    dof, memory, apart = len(proposal), memory_of(arm), np.empty(len(arm.scene.pairs))
-    target, backup, brake, aside = np.empty(dof), np.empty(dof), np.empty(dof), np.empty(dof)
-    tried, shares = proposal.copy(), np.array((0.0, 1.0))
-    measure_all(arm.scene, state.joints, apart)
-    for k in range(len(apart)):
-        memory.required[k] = min(arm.margin, arm.caps[k], apart[k])
-    brake_commands(arm, state.position, state.velocity, brake)
-    copy_to(brake if plan.periods[0] == 0 else plan.command, backup)
-    copy_to(backup, command)
-    rest = max(plan.periods[0] - 1, 0)
-    for number in range(-1, BISECTIONS + 2 * dof + ALONG):
-        if number == 0:
-            effective(arm, state, proposal, target)
-            along(arm, target, brake, memory.required + CURVATURE, aside)
-        if number >= 0:
-            alternative(number, (target, backup, brake, aside), shares, tried)
-        if number >= BISECTIONS and square_distance(tried, target) >= square_distance(command, target):
-            continue
-        periods = safe_periods(arm, state, apart, tried, memory)
-        if periods >= 0:
-            copy_to(tried, command)
-            rest = periods
-        if number < 0 and periods >= 0:
+        if arm.held == 0:
             break
-        if 0 <= number < BISECTIONS:
-            shares[0 if periods >= 0 else 1] = (shares[0] + shares[1]) / 2
-    copy_to(command, plan.command)
-    plan.periods[0] = rest
+    return -1

@@ -74,7 +74,11 @@ def _cache_folder() -> Path | None:
 _FOLDER = _cache_folder()
 
 
-@numba.njit(inline="always")
+inlined = numba.njit(inline="always")
+"""Compile a short function into those that call it: calls with many arrays take longer than the arithmetic."""
+
+
+@inlined
 def copy_to(values, out):
     """Set `out[:] = values`, (k,) each. Compiling that line takes seconds, because of NumPy's errors."""
     for i in range(len(out)):

@@ -134,6 +134,15 @@ def rims_of(rover, linear, angular, rims):
 
 
 @compiled
+def after_period(rover, states, commands):
+    """Move rovers at `states` (n, 10) by a period under `commands` (n, 2)."""
+    rims = np.empty(2)
+    for row in range(len(states)):
+        rims_of(rover, commands[row, 0], commands[row, 1], rims)
+        move(rover, states[row], rims, SUBSTEPS)
+
+
+@compiled
 def clearance(rover, world, state, row):
     """Return the distance (m) of a rover from sides, ends and blocks; 0 or below in contact. `row` (10,) is memory."""
     x, y = state[0], state[1]
