@@ -60,6 +60,10 @@ bridge_moving_distil = _agent(
     "bridge_moving_distil",
     "`bridge_moving_state_ppo`, distilled into a network with a memory; it sees the depth camera and its motion.",
 )
+bridge_moving_robust_distil = _agent(
+    "bridge_moving_robust_distil",
+    "`bridge_moving_distil` in training episodes that were disturbed; it sees the depth camera and its motion.",
+)
 bridge_ppo = _agent("bridge_ppo", "`bridge_distil`, improved by PPO; it sees the depth camera and its own motion.")
 bridge_moving_ppo = _agent(
     "bridge_moving_ppo",
