@@ -174,8 +174,11 @@ class DriveObserver:
 
         Noisy ones are filtered. Return the states in which the next commands will act.
         """
-        estimates = self._filtered(states) if noisy else states
+        before = self.delay.copy()
         self._predictor.read(states)
+        if noisy:
+            self._forget_estimates(np.flatnonzero(self.delay != before))
+        estimates = self._filtered(states) if noisy else states
         velocities = estimates[:, 3:].copy()
         self._responses.learn(self._velocities, self._predictor.sent, velocities, noisy)
         self._velocities = velocities
@@ -191,6 +194,11 @@ class DriveObserver:
         commands = np.clip(commands, -limits, limits)
         self._predictor.send(commands)
         return commands
+
+    def _forget_estimates(self, ids: NDArray[np.integer]) -> None:
+        """Forget what robots `ids` have learned from estimates that went by another delay."""
+        self._responses.reset(ids)
+        self._filter.reset(ids=ids)
 
     def _filtered(self, states: Array) -> Array:
         """Return the estimates of an extended Kalman filter, whose model is the law."""
