@@ -27,9 +27,11 @@ NEW_SHARE = 0.7
 """Weight of the new speed in the distance of a period: speeds are reached soon."""
 NOISE_MEMORY = 100.0
 """Control steps over which the noise is identified."""
-VELOCITY_DEVIATIONS, POSE_DEVIATIONS = (0.03, 0.06), (0.006, 0.003, 0.0)
+VELOCITY_DEVIATIONS, POSE_DEVIATIONS = np.array((0.03, 0.06)), (0.006, 0.003, 0.0)
 """m/s and rad/s, m and rad: deviations from the nominal law in a period, for the filter: of velocities, which move the
 pose, and of the pose itself."""
+CHANGE_DEVIATION = 0.3
+"""Deviation from the law as a share of the change of a velocity in a period: wheels that begin to turn the rover skid."""
 DELAY_OPTIONS = DelayOptions(threshold=8.0)
 """Options of the delay's identification: slow drives are similar to late ones, which takes more evidence."""
 SLOW_TURN_RATE, WEAK_GAIN = 0.6, 3.0
@@ -214,7 +216,7 @@ class DriveObserver:
         inputs = np.zeros((len(mean), 5, 2))
         inputs[:, :2, 0], inputs[:, 2, 1] = period * NEW_SHARE * along, period
         inputs[:, 3, 0] = inputs[:, 4, 1] = 1.0
-        inputs *= VELOCITY_DEVIATIONS
+        inputs *= (VELOCITY_DEVIATIONS + CHANGE_DEVIATION * np.abs(ahead[:, 3:] - mean[:, 3:]))[:, None]
         noise = np.diag(np.square(np.repeat(POSE_DEVIATIONS, (2, 1, 2))))
         kalman.covariance[:] = (
             transition @ kalman.covariance @ transition.transpose(0, 2, 1) + inputs @ inputs.transpose(0, 2, 1) + noise
