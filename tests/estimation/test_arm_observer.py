@@ -174,3 +174,14 @@ def test_no_readings_harm_and_resets_forget(moving):
         each.read(MODEL.position(MODEL.home), MODEL.home, TARGET, velocity)
     np.testing.assert_array_equal(observer.tip, fresh.tip)
     np.testing.assert_array_equal(observer.target_ahead(np.arange(3.0)), fresh.target_ahead(np.arange(3.0)))
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.005, 0.02])
+def test_noise_of_an_arm_that_has_not_moved_yet_is_no_change_of_its_links(noise):
+    for seed in range(10):
+        arm, observer = SimulatedArm(noise=noise, seed=seed), ArmObserver(MODEL, PERIOD, moving=True)
+        for _ in range(12):
+            tip, q, target = arm.readings()
+            observer.read(tip, q, target, noise * arm.rng.normal(size=3))
+            observer.send(MODEL.home)
+            assert np.abs(observer.length_errors).max() < 1

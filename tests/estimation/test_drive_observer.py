@@ -100,6 +100,28 @@ def test_noise_is_filtered(noise):
     assert (deviations[3:] < 0.85 * noise).all()
 
 
+@pytest.mark.parametrize("delay", [1, 3, 5])
+def test_a_delay_among_noise_leaves_no_offsets(delay):
+    rng = np.random.default_rng(4)
+    observer, states, predictions = drive(Drives(20, delay=delay), np.tile((1.5, 2.0), (30, 20, 1)), 0.05, rng)
+    known = observer.delay == delay
+    assert known.mean() >= 0.9
+    assert np.abs(observer.response.offset[known]).max() < 0.06
+    deviations = np.sqrt(((predictions[:-delay] - states[delay:])[-10:, known, :2] ** 2).mean(axis=(0, 1)))
+    assert (deviations < 0.05).all()
+
+
+def test_a_turn_that_comes_late_is_seen_through_noise():
+    rng = np.random.default_rng(5)
+    observer, drives = DriveObserver(20), Drives(20)
+    for step in range(15):
+        ahead = observer.observe(drives.states + 0.05 * rng.standard_normal((20, 5)), noisy=True)
+        if step > 4:
+            assert abs((ahead - drives.states)[:, 2].mean()) < 0.03
+        observer.command(np.tile((1.5, 2.5), (20, 1)))
+        drives.step(np.tile((1.5, 2.5 if step else 0.3), (20, 1)))
+
+
 def test_missing_readings_and_turns_beyond_pi_spoil_nothing():
     observer, drives = DriveObserver(2), Drives(2)
     for step in range(60):

@@ -39,6 +39,8 @@ AT_REST = 0.01
 """rad and rad/s, of such an arm: standard deviations."""
 SERVO = 0.02
 """rad: by which joints are off their drives in motion."""
+LARGEST_SIGMA = 3.0
+"""Standard deviations by which a reading of the end-effector may be off."""
 SETTLING = 0.3
 """s: while joints move relative to their drives, their offset so long ahead is as uncertain as their motion is far."""
 
@@ -257,12 +259,19 @@ class ArmObserver:
         self._read_tip(tip, q)
 
     def _read_tip(self, tip: Array, q: Array) -> None:
-        """Estimate the links' lengths: the end-effector is read as well as the target is, where the joints are read."""
+        """Estimate the links' lengths: the end-effector is read as well as the target is, where the joints are read.
+
+        Noise that was identified as too small, as in the first readings, counts as what makes this reading probable.
+        """
         q = np.where(np.isfinite(q), q, self.joints)
-        model, joint_noise = self._model, self.options.joint_noise**2 * self._joints.noise_scale[0]
+        model, rows, unit = self._model, self._model.segments(q).T, self.options.tip_noise**2
+        joint_noise = self.options.joint_noise**2 * self._joints.noise_scale[0]
         by_joints = joint_noise * np.square(model.jacobian(q)[:3]).sum() / 3
-        deviation = np.sqrt(self._targets.noise_scale[0] + by_joints / self.options.tip_noise**2)
-        self._links.update([(tip - model.position(q)) / deviation], model.segments(q).T / deviation)
+        offset = tip - model.position(q)
+        innovation, expected = offset - rows @ self._links.mean[0], rows @ self._links.covariance[0] @ rows.T
+        seen = np.mean((innovation / LARGEST_SIGMA) ** 2 - np.diag(expected)) / unit
+        deviation = np.sqrt(max(self._targets.noise_scale[0] + by_joints / unit, seen))
+        self._links.update([offset / deviation], rows / deviation)
 
     def _begin(self, q: Array) -> None:
         home = self._model.home
