@@ -31,7 +31,7 @@ VELOCITY_DEVIATIONS, POSE_DEVIATIONS = np.array((0.03, 0.06)), (0.006, 0.003, 0.
 """m/s and rad/s, m and rad: deviations from the nominal law in a period, for the filter: of velocities, which move the
 pose, and of the pose itself."""
 CHANGE_DEVIATION = 0.2
-"""Deviation from the law as a share of the change of a velocity in a period: wheels that begin to turn the rover skid."""
+"""Deviation from the law in a period, as a share of a velocity's change: wheels that begin to turn the rover skid."""
 DELAY_OPTIONS = DelayOptions(threshold=8.0)
 """Options of the delay's identification: slow drives are similar to late ones, which takes more evidence."""
 SLOW_TURN_RATE, WEAK_GAIN = 0.6, 3.0
