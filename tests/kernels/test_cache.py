@@ -61,6 +61,13 @@ def test_a_full_disk_stops_nothing(home, monkeypatch):
         assert run(home, monkeypatch) == 0
 
 
+def test_installations_share_the_machine_code_of_kernels_and_no_other(home):
+    kernels = compiling.KERNELS / "geometry.py"
+    assert compiling._Locator.get_suitable_cache_subpath(str(kernels)) == "kernels"
+    others = {compiling._Locator.get_suitable_cache_subpath(str(home / name / "own.py")) for name in ("a", "b")}
+    assert len(others | {"kernels"}) == 3
+
+
 def test_the_folder_is_private(home, monkeypatch):
     run(home, monkeypatch)
     (folder,) = (home / "armctl").iterdir()

@@ -9,11 +9,28 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
+
+KERNELS = Path(__file__).parent
+
+
+class _Locator(UserProvidedCacheLocator):  # type: ignore[misc]
+    """Places of machine code, which is that of all installations with the same sources of kernels."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """Return the folder for the kernels of a file."""
+        return KERNELS.name if Path(py_file).parent == KERNELS else str(super().get_suitable_cache_subpath(py_file))
+
+
+class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
     """Machine code in the cache folder; what is damaged there is compiled again, and a full disk stops nothing."""
+
+    _impl_class = _Implementation
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code for a signature; None if there is none that can be read."""
@@ -52,7 +69,7 @@ def _cache_folder() -> Path | None:
     It is the user's own, and nobody else may write to it, since code is loaded from it. None if there is no such
     folder: then each process compiles.
     """
-    sources = sorted(Path(__file__).parent.glob("*.py"))
+    sources = sorted(KERNELS.glob("*.py"))
     version = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
     try:
         home = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
