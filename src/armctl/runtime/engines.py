@@ -9,6 +9,7 @@ import contextlib
 import itertools
 import os
 import re
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
@@ -100,6 +101,8 @@ class Local(Engine):
         """Yield results; see `Engine`. Workers can use all that this process has imported or has in memory."""
         import joblib  # a tenth of a second, which a single process does not need
 
+        # of workers that have grown by 300 MB, as by each policy that they load: loky replaces them
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
         parallel = joblib.Parallel(
             self.workers,
             backend="loky",
