@@ -60,7 +60,7 @@ class Phase(Enum):
     """Phases of a push."""
 
     OVER = "over"
-    """To the point above the place behind the object."""
+    """Motion to the point above the place behind the object."""
     DOWN = "down"
     PUSH = "push"
     UP = "up"
@@ -69,7 +69,7 @@ class Phase(Enum):
 @made_for("armctl/ArmPush-v0", controls="arms: position")
 @sees("model", family="scripted")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
-    """A scripted push: comes down behind the object, pushes along the line, and begins again if it drifts off."""
+    """Scripted push: comes down behind the object, pushes along the line, and begins again if it drifts off."""
     if not isinstance(env.options, PushOptions) or env.options.control != "position":
         raise ConfigurationError(
             "push_line cannot play this task: use it with armctl/ArmPush-v0 and control 'position'"

@@ -97,7 +97,12 @@ def test_the_version_is_shown(tmp_path):
     [
         (completion.environments, "armctl/Bridge", ["armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"]),
         (completion.policies, "reach_i", ["reach_ik", "reach_impedance"]),
-        (completion.agents, "bridge_moving", ["bridge_moving_distil", "bridge_moving_ppo", "bridge_moving_state_ppo"]),
+        (completion.agents, "bridge_moving_d", ["bridge_moving_distil"]),
+        (
+            completion.agents,
+            "bridge_moving_",
+            [f"bridge_moving_{kind}" for kind in ("distil", "ppo", "robust_distil", "state_ppo")],
+        ),
         (completion.recipes, "reach_p", ["reach_ppo"]),
         (completion.disturbances, "d", ["delay", "dropout"]),
     ],

@@ -110,12 +110,19 @@ def short_folder():
 
 @pytest.fixture
 def ray_cluster(ray_head, processes):
-    """The address of a cluster of two nodes, each with a core, and the second node's process."""
+    """The address of a cluster of two nodes, each with a core, and the second node's process.
+
+    A second node that does not come is replaced, twice.
+    """
     port, address = ray_head
-    node = start_ray(processes, f"--address=127.0.0.1:{port}")
     with connect(address) as engine:  # once: for each client, Ray starts an interpreter
-        until(lambda: engine.count() == 2, "Ray's second node")  # type: ignore[attr-defined]
-    return address, node
+        for _ in range(3):
+            node = start_ray(processes, f"--address=127.0.0.1:{port}")
+            with contextlib.suppress(TimeoutError):
+                until(lambda: engine.count() == 2, "Ray's second node", seconds=200)  # type: ignore[attr-defined]
+                return address, node
+            processes.kill(node)
+    raise RuntimeError(f"Ray's second node did not answer: {processes.output()}")
 
 
 def start_ray(processes, *options):
