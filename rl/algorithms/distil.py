@@ -64,8 +64,7 @@ class DistilOptions(TrainingOptions):
     largest_gradient: Positive = 1.0
     """Norm to which gradients are clipped."""
     start: str | None = None
-    """Agent from whose weights the student starts, trained by distil with the same sizes, or without a memory and with
-    one layer more than `layers`; None: random weights."""
+    """Agent from whose weights the student starts, trained by distil with the same sizes; None: random weights."""
     features: Features = "invariant"
     evaluation_every: Count = 100_000
 

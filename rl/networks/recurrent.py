@@ -11,8 +11,6 @@ from armctl.rl.networks.layers import hidden_layers
 
 MEMORY = "hidden"
 """Name of the memory."""
-UNIT = "unit.weight_ih"
-"""Name of a parameter of the gated recurrent unit."""
 LAST_IMAGE = "last_image"
 """Name of the features of the last image that was not lost."""
 
@@ -20,42 +18,16 @@ LAST_IMAGE = "last_image"
 def copy_weights(network: torch.nn.Module, weights: Mapping[str, torch.Tensor]) -> None:
     """Copy the weights of an agent that distil has trained to a network of the same sizes.
 
-    Those of a network without memory, of layers of the same sizes, are copied around the memory, which has no effect
-    then. Raises `ConfigurationError` if there are none for a parameter, or of another shape.
+    Raises `ConfigurationError` if there are none for a parameter, or of another shape.
     """
-    names = _memoryless_names(network) if f"network.{UNIT}" not in weights else {}
     for name, parameter in network.named_parameters():
-        if names and name.startswith("unit."):
-            continue
-        values = _numbers(f"network.{names.get(name, name)}", parameter, weights)
-        if names and name == "head.0.weight" and values is not None:
-            unused = torch.zeros(len(values), parameter.shape[1] - values.shape[1])
-            values = torch.cat((values, unused), dim=1)
+        values = weights.get(f"network.{name}")
         if values is None or values.shape != parameter.shape:
             raise ConfigurationError(
                 f"the training starts from an agent as distil trains it, with weights network.{name} of shape "
                 f"{tuple(parameter.shape)}: this one has none"
             )
         parameter.data.copy_(values)
-
-
-def _memoryless_names(network: torch.nn.Module) -> dict[str, str]:
-    """Return the names of parameters in a sequence of features and layers, by those in a recurrent network."""
-    names = [name for name, _ in network.named_parameters() if not name.startswith("unit.")]
-    features = {name: name.removeprefix("encoder.") for name in names if name.startswith("encoder.0.")}
-    layers = dict.fromkeys(name.rpartition(".")[0] for name in names if name not in features)
-    numbers = {layer: 2 * i + 1 for i, layer in enumerate(layers)}  # a rectifier is behind each layer
-    return features | {
-        name: f"{numbers[name.rpartition('.')[0]]}.{name.rpartition('.')[2]}" for name in names if name not in features
-    }
-
-
-def _numbers(name: str, parameter: torch.Tensor, weights: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
-    """Return a parameter's numbers by its name, or, if the exported graph has them transposed, by its shape."""
-    if name in weights or parameter.dim() != 2:
-        return weights.get(name)
-    transposed = [values for key, values in weights.items() if "." not in key and values.shape == parameter.shape[::-1]]
-    return transposed[0].T if len(transposed) == 1 else None
 
 
 class RecurrentNetwork(torch.nn.Module):

@@ -178,9 +178,10 @@ class DriveObserver:
         """
         before = self.delay.copy()
         self._predictor.read(states)
+        estimates = states
         if noisy:
             self._forget_estimates(np.flatnonzero(self.delay != before))
-        estimates = self._filtered(states) if noisy else states
+            estimates = self._filtered(states)
         velocities = estimates[:, 3:].copy()
         self._responses.learn(self._velocities, self._predictor.sent, velocities, noisy)
         self._velocities = velocities

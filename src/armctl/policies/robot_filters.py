@@ -59,7 +59,7 @@ class RoverFilterOptions:
     drift: NonNegative = 0.02
     """m/s by which the margin to people grows with the time ahead: what they do otherwise than predicted."""
     late_margin: NonNegative = 0.03
-    """m more kept from all for each control step by which actions are delayed: 99.9 % of predictions are so good."""
+    """m more kept from all for each control step by which actions are delayed."""
 
 
 class Filters(Protocol):

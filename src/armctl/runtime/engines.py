@@ -101,7 +101,7 @@ class Local(Engine):
         """Yield results; see `Engine`. Workers can use all that this process has imported or has in memory."""
         import joblib  # a tenth of a second, which a single process does not need
 
-        # of workers that have grown by 300 MB, as by each policy that they load: loky replaces them
+        # loky replaces workers that have grown by 300 MB
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
         parallel = joblib.Parallel(
             self.workers,
