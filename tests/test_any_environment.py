@@ -124,6 +124,7 @@ def test_a_comparison_by_return_stops_when_it_is_decided_and_one_without_pairs_i
     assert "no method holds at any number of them" in " ".join(refused.stderr.split())
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", ["Deaf", "DeafLater", "Remembering"])
 def test_an_environment_that_ignores_its_seed_is_judged_without_pairs(home, name):
     arguments = [*PAIR, "--env", f"odd_environments.py:{name}", "--episodes", "12"]

@@ -150,6 +150,7 @@ def test_tab_completes_without_a_simulator(tmp_path):
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_robot_is_short_for_an_option(tmp_path):
     for arguments in (["--robot", "ur3"], ["--set", "robot=ur3"]):
         armctl("compare", "random", "--episodes", "1", "--out", "here", "--overwrite", *arguments, cwd=tmp_path)

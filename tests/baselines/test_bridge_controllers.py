@@ -26,6 +26,7 @@ def test_they_go_on_from_inside_a_lane(controller):
     assert asked.act(np.array([7.0, -1.0, 0.0]), np.zeros(2), 0.0) != (0.0, 0.0)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("expert", "crosses"), [("bridge_ompl", True), ("bridge_ompl:prepared=false", False)])
 def test_delays_are_found_out_by_those_who_are_prepared(expert, crosses):
     options = {**FAST, "deck_length": 12.0, "blocks": 3, "disturbances": {"delay": 3}}

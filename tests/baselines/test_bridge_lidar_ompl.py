@@ -15,7 +15,7 @@ from .driving import MOVING, STATIC
 NAME = "bridge_lidar_ompl"
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(("env", "least"), [(STATIC, 0.9), (MOVING, 0.8)])
 def test_it_crosses_by_its_sensors(env, least, sized):
     results = evaluate(NAME, env, episodes=sized(2, 6), seed=101, worlds=sized(2, 6))

@@ -37,6 +37,7 @@ def test_it_is_the_same_in_every_run_and_needs_no_camera():
     assert first.equals(second)
 
 
+@pytest.mark.slow
 def test_it_keeps_its_distance_and_always_has_a_solution(monkeypatch):
     results, decide = [], DriveMpc.decide
     monkeypatch.setattr(DriveMpc, "decide", lambda *told: results.append(decide(*told)) or results[-1])

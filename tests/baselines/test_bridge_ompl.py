@@ -21,7 +21,7 @@ def test_it_crosses_nearly_always(env, least, sized):
     assert results.length[results.success].mean() < 150
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_it_crosses_other_bridges(env, sized):
     options, n = {**FAST, "deck_length": 26.0, "deck_width": 4.6, "blocks": 5, "walkers": 2}, sized(3, 6)
@@ -67,6 +67,7 @@ def crossing_time(bridge, radius, speed=1.0, limit=60.0, cell=0.1):
     return None
 
 
+@pytest.mark.slow
 def test_a_patient_driver_always_gets_through(sized):
     n = sized(6, 12)
     env: Any = gymnasium.make_vec(MOVING, num_envs=n, **FAST)

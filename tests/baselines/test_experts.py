@@ -33,7 +33,7 @@ def test_reach_ik_works_on_other_arms_and_controls(robot, control):
     assert results.success.all()
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["z1", "panda", "xarm7"])
 def test_reach_ik_works_on_arms_that_are_no_ur(robot):
     results = evaluate(

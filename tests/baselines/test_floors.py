@@ -26,6 +26,7 @@ def test_experts_play_with_the_control_that_they_declare_unless_another_is_reque
     assert requested.task.options.control == "delta"
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("name", "disturbances", "success"),
     [

@@ -80,6 +80,7 @@ def test_it_reaches_with_noisy_readings_and_links_of_other_lengths(disturbances,
     assert results.success.mean() >= success
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("prepared", [True, False])
 @pytest.mark.parametrize(
     ("env", "options"),

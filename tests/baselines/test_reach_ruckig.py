@@ -60,6 +60,7 @@ def test_it_stays_beside_a_moving_target(sized):
     assert results[results.success].tracking_error.mean() < 0.01
 
 
+@pytest.mark.slow
 def test_among_boxes_it_moves_only_where_it_is_free(sized):
     n = sized(8, 20)
     env = "armctl/ArmReachObstacles-v0"

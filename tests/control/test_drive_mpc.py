@@ -216,6 +216,7 @@ def test_what_others_decide_has_no_influence():
                 assert (a.cost, a.iterations) == (b.cost, b.iterations)
 
 
+@pytest.mark.slow
 def test_the_search_for_another_plan_goes_on_from_step_to_step(monkeypatch):
     """With few iterations in each, it gets past somebody as it does with many at once."""
     searches, solve = [], DriveMpc._solve

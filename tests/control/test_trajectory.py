@@ -119,6 +119,7 @@ def test_a_moving_goal_is_reached_at_its_velocity():
     np.testing.assert_allclose(speeds[30:], np.tile(velocity, (30, 1)), atol=1e-6)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("seed", range(5))
 def test_corners_are_cut_the_less_the_slower_and_not_at_all_with_stops(seed):
     path = random_path(seed, 4)

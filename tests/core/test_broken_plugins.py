@@ -50,6 +50,7 @@ def plugin(request, tmp_path, monkeypatch):
     sys.modules.pop("broken", None)
 
 
+@pytest.mark.one_case
 def test_who_names_it_is_told_in_a_line(plugin):
     for load in (describe_policy, load_learner, load_tracker, load_format):
         with pytest.raises(ConfigurationError, match=r"cannot load the .* odd: "):
@@ -62,6 +63,7 @@ def test_who_names_it_is_told_in_a_line(plugin):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.one_case
 def test_everybody_else_goes_on(plugin):
     assert describe_policy("reach_ik")
     assert load_learner("ppo")

@@ -232,6 +232,7 @@ def test_an_observation_is_a_copy():
 BOXES = spaces.Dict(depth=spaces.Box(0, np.inf, (4,), np.float32), at=spaces.Box(-9, 9, (2,), np.float32))
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 0.0])
 def test_observations_that_are_not_finite_reach_policies_with_a_remark_and_no_dataset(number, tmp_path):
     def observe(env):

@@ -53,6 +53,7 @@ def home(tmp_path):
     return tmp_path
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     "env", ["pkg/envs/maze.py:Maze", "pkg.envs.maze:Maze", "pkg:Maze", "pkg/__init__.py:Maze", "forms.py:make"]
 )

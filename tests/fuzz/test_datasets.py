@@ -77,6 +77,7 @@ def test_the_dataset_is_fine_as_it_is(load):
     assert load() == ("fine", "6 episodes")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hdf5", "metadata", "values"])
 def test_a_mutated_dataset_is_read_or_refused(load, content, kind):
     assert "refused" in outcomes_of(load, mutations(content)[kind], 25)

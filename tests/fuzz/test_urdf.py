@@ -90,7 +90,7 @@ def mutate_mesh(load, rng):
     return load(robot.encode(), "small", **{"mesh.stl": mutated_bytes(rng, UR5_MESH)})
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("mutate", [mutate_tree, mutate_bytes, mutate_mesh])
 def test_a_mutated_robot_loads_or_is_refused(load, mutate):
     assert "refused" in outcomes_of(load, mutate, 15)

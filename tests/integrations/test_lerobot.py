@@ -197,6 +197,7 @@ def test_a_missing_extra_is_named_in_a_line(tmp_path, monkeypatch):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("formats", [("minari", "lerobot"), ("lerobot", "minari")])
 def test_formats_do_not_mix_in_a_folder(tmp_path, formats):
     given = {"policy": "random", "episodes": 1, "out": tmp_path, "env_options": SHORT}
@@ -243,7 +244,7 @@ class Killed(BaseException):
     """The end of the process, as far as one process can tell."""
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", [0, 1, 2])
 def test_an_end_while_parts_are_moved_loses_nothing(interrupted, monkeypatch, moved):
     real, left = Path.rename, iter(range(moved))

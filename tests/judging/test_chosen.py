@@ -49,6 +49,7 @@ def test_what_is_left_out_is_told(tmp_path, wins, kept, is_doubtful):
     assert ("may have been chosen by their outcome" in remarks(judgement)) == is_doubtful
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("wins", "is_told"),
     [

@@ -15,6 +15,7 @@ def cells_of(members, episodes=20):
                                              for k in range(episodes))]  # fmt: skip
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("members", "told"),
     [

@@ -104,6 +104,7 @@ def test_the_last_trial_can_be_taken_back_too(typed, tmp_path):
     assert "nothing to take back" in typed(lines=["u", "u", "u"]).stdout
 
 
+@pytest.mark.slow
 def test_a_trial_that_was_cut_off_is_asked_again(typed, tmp_path):
     typed("a", "b", "--episodes", "2", "--seed", "1", lines=["y", "n"])
     whole = (tmp_path / "arm.csv").read_text()
@@ -113,6 +114,7 @@ def test_a_trial_that_was_cut_off_is_asked_again(typed, tmp_path):
         assert (tmp_path / "arm.csv").read_text() == whole
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     "change",
     [

@@ -111,6 +111,7 @@ def test_numeric_solver_solves_poses_from_anywhere(make, count):
     assert solved == count
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("robot", ["panda", "xarm7"])
 def test_arms_with_seven_joints_have_closed_forms_by_ssik(robot):
     model = ArmModel(robot)

@@ -71,6 +71,7 @@ def test_the_simulated_arm_follows_what_is_imagined(shapes):
     worlds.close()
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("margin", [0.0, 0.02])
 def test_touches_are_those_that_an_edge_checker_would_see(shapes, margin):
     model, rng, n = shapes.model, np.random.default_rng(1), 40

@@ -123,6 +123,7 @@ ODD_ARMS = {
 }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("axes", ODD_ARMS.values(), ids=ODD_ARMS)
 def test_an_arm_of_any_joints_reaches_where_it_has_been(tmp_path, axes):
     path = tmp_path / "arm.urdf"

@@ -81,6 +81,7 @@ def test_there_are_shipped_policies_of_both_kinds():
     }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("env", "name"),
     [pytest.param(env, name, marks=[pytest.mark.slow] * (name in DELIBERATE), id=name) for env, name in SHIPPED],
@@ -105,6 +106,7 @@ def previews(foresight, sees="model", name="target"):
     return make, notes
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("sees", ["observation", "model", "map", "state"])
 def test_who_declares_foresight_of_the_target_gets_its_curve(sees):
     make, notes = previews("target", sees)
@@ -188,6 +190,7 @@ def test_a_policy_that_says_so_too_late_and_names_that_there_are_not():
         armctl.sees("model", foresight="targte")
 
 
+@pytest.mark.slow
 def test_foresight_that_differs_is_in_verdict_tables_and_json():
     options = {"max_episode_steps": 3}
     foreseeing, _ = previews("target")

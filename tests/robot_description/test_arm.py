@@ -53,6 +53,7 @@ def test_limits_are_the_numbers_of_the_urdf(robot):
         np.testing.assert_array_equal(getattr(arm.limits, name), [float(limit.get(name)) for limit in limits])
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("robot", BUILTIN_ARMS)
 def test_mesh_vertices_lie_within_their_links_capsule(robot):
     arm = load_arm(robot)

@@ -9,6 +9,7 @@ from armctl.robot_description import load_arm
 measure = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks/capsules.py"))["measure"]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("robot", ["ur5", "ur3", "ur10"])
 def test_capsules_miss_no_contact_of_the_meshes(robot):
     alone, among = measure(robot, 2000)

@@ -25,6 +25,7 @@ def noted(path, **options):
     return "\n".join(load_arm(path, **options).notes)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", BUILTIN_ARMS)
 def test_named_arms_have_no_notes(name):
     assert load_arm(name).notes == ()
@@ -79,6 +80,7 @@ def rotated(moments, rng):
     return f'<inertia ixx="{xx!r}" iyy="{yy!r}" izz="{zz!r}" ixy="{xy!r}" ixz="{xz!r}" iyz="{yz!r}"/>'
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("excess", "outcome"), [(0, ""), (1e-9, "raised"), (9e-7, "raised"), (0.04, "raised")])
 @pytest.mark.parametrize("seed", range(5))
 def test_the_inertia_of_a_plate_is_taken_and_one_a_little_beyond_is_mended(urdf, excess, outcome, seed):

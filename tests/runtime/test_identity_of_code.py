@@ -73,7 +73,7 @@ def test_an_import_within_a_function_counts(tmp_path, lazy, monkeypatch):
 
 REGISTERED = """
 import gymnasium
-gymnasium.register("mine/M-v0", entry_point="maze:Maze", max_episode_steps={steps}, kwargs={{"g": {g}}})
+gymnasium.register("mine/M-v0", entry_point="labyrinth:Maze", max_episode_steps={steps}, kwargs={{"g": {g}}})
 """
 
 
@@ -86,18 +86,18 @@ class Maze(PendulumEnv):
 
 
 @pytest.mark.parametrize(
-    ("changed", "steps", "g"), [("registered", 60, 10.0), ("registered", 50, 3.0), ("code: maze.py", 50, 10.0)]
+    ("changed", "steps", "g"), [("registered", 60, 10.0), ("registered", 50, 3.0), ("code: labyrinth.py", 50, 10.0)]
 )
 def test_an_environment_that_is_registered_or_made_otherwise(tmp_path, changed, steps, g):
     """Its class is named as Gymnasium's users do: by a text, in a module beside."""
-    (tmp_path / "maze.py").write_text(MAZE)
+    (tmp_path / "labyrinth.py").write_text(MAZE)
     (tmp_path / "reg.py").write_text(REGISTERED.format(steps=50, g=10.0))
     command = ["compare", "random", "--env", "reg:mine/M-v0", "--episodes", "2", "--out", "out"]
     armctl(*command, cwd=tmp_path)
     assert "finished by an earlier run" in armctl(*command, cwd=tmp_path).stdout
     (tmp_path / "reg.py").write_text(REGISTERED.format(steps=steps, g=g))
-    if "maze" in changed:
-        (tmp_path / "maze.py").write_text(MAZE + "# edited\n")
+    if "labyrinth" in changed:
+        (tmp_path / "labyrinth.py").write_text(MAZE + "# edited\n")
     assert changed in armctl(*command, cwd=tmp_path, check=False).stderr
 
 

@@ -67,6 +67,7 @@ def test_equal_success_is_decided_by_return_and_then_by_order():
     assert choose(won[:1], won[:1], ["b", "a"]).policy == "b"  # no episode to choose by
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("kinds", ["a bcdef", "ab cd"])
 @pytest.mark.parametrize("episodes", [50, 1000])
 def test_a_choice_costs_neither_the_test_nor_the_interval_anything(kinds, episodes, sized):
@@ -167,6 +168,7 @@ def test_a_mean_over_tasks_is_that_of_one_task_and_narrower_for_several():
     assert mean_over_tasks([]) is None
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("tasks", [2, 3, 5, 8])
 @pytest.mark.parametrize("rates", ["95 to 100 %", "99 %", "99.9 %", "one of 97 %"])
 def test_means_over_tasks_near_one_hundred_percent_miss_on_neither_side(tasks, rates, sized, monkeypatch):
@@ -194,6 +196,7 @@ def test_profiles_fall_and_lie_in_their_band():
     assert all(one.low <= one.value <= one.high for one in shares)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("rates", [(0.99, 0.98), (1.0, 0.97), (0.9, 0.9), (0.6, 0.9)])
 def test_intervals_over_tasks_hold_near_one_hundred_percent_where_a_bootstrap_does_not(rates):
     rng, tasks, episodes = np.random.default_rng(0), 3, 20

@@ -107,11 +107,13 @@ def test_power_grows_with_the_difference_and_falls_with_the_tests():
         assert equivalence_power(1500, small, 0.1) < equivalence_power(1500, large, 0.1)
 
 
+@pytest.mark.slow
 def test_a_plan_of_small_differences_is_exact_within_a_five_hundredth():
     needed = episodes_to_detect(0.002, 0.3)
     assert detection_power(needed, 0.002, 0.3) >= 0.8 > detection_power(round(needed * 0.996), 0.002, 0.3)
 
 
+@pytest.mark.slow
 def test_the_plan_tells_these_numbers():
     for record in plan_comparison(0.05, power=0.9, pairs=1).tables[0].records:
         possible = record["discordant"] >= 0.05

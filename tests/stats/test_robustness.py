@@ -276,6 +276,7 @@ def simulated(rng, rates, levels):
     return robustness_rankings(table, tests)[0]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("levels", [1, 2])
 def test_a_policy_that_is_12_to_15_points_worse_does_not_lead(levels):
     """It was told to hold out longest, beside the better one, in 30 to 47 % of these runs."""

@@ -100,6 +100,7 @@ def few_draws(monkeypatch):
     monkeypatch.setattr(statistics, "DRAWS", 400)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("trainings", [2, 3, 5, 10])
 @pytest.mark.parametrize("population", POPULATIONS)
 def test_intervals_and_p_values_hold_whatever_the_population_of_trainings(trainings, population, few_draws, sized):

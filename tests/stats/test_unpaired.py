@@ -55,6 +55,7 @@ def test_limits_are_combined_as_by_newcombe(a, n, b, m, low, high):
     assert wider.high >= found.high - 1e-9
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("n", "m"), SIZES)
 def test_errors_are_as_rare_as_they_are_said_to_be(n, m):
     """All outcomes, at all rates: neither test nor interval errs in more than 2.5 % of cases on one side, or hardly."""

@@ -52,6 +52,7 @@ def interrupted(env):
     return Fragile(250, interrupt)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("policy", "says"), [("failing", "out of ideas"), ("not_a_number", "not finite")])
 def test_a_policy_that_fails_plays_on_and_spoils_nothing_that_is_finished(tmp_path, policy, says):
     name = f"{__name__}:{policy}"

@@ -37,6 +37,7 @@ def test_a_sweep_on_a_full_disk_goes_on_later(tmp_path, disk):
     assert {name: len(cell.episodes) for name, cell in cells.items()} == {"none": 24, "delay-1.0": 24, "delay-2.0": 24}
 
 
+@pytest.mark.slow
 def test_a_report_on_a_full_disk_leaves_the_old_one(tmp_path):
     armctl("compare", "random", "--episodes", "2", "--out", "out", *OPTIONS, cwd=tmp_path)
     report = tmp_path / "out" / "report.html"

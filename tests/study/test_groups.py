@@ -115,6 +115,7 @@ def test_two_groups_and_a_baseline(runs, monkeypatch):
     assert made.differences[0].success_p > 0.05
 
 
+@pytest.mark.slow
 def test_a_group_in_a_sweep(tmp_path):
     found = armctl.sweep(["reach_bc[*]"], disturbances={"delay": [3]}, episodes=8, worlds=8, out=tmp_path)
     assert found.points.policy.unique().tolist() == ["reach_bc[*]"]
@@ -210,6 +211,7 @@ def test_groups_that_do_not_belong_to_the_episodes_are_noticed(folder, tmp_path,
         read_comparison(tmp_path / "forged")
 
 
+@pytest.mark.slow
 def test_a_plan_leaves_out_groups(folder, tmp_path):
     with pytest.raises(ResultsError, match="more trainings tell more"):
         plan_comparison(0.02, pilot=folder)

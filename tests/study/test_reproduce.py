@@ -53,6 +53,7 @@ def test_a_shipped_agent_does_as_its_card_says(agent):
     assert other.measured.mean_steps_to_goal != again.measured.mean_steps_to_goal
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     "change",
     [
@@ -137,6 +138,7 @@ def claims(won, returns, steps):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.5, 0.9, 0.99])
 def test_honest_agents_are_rarely_called_dishonest_on_other_episodes(rate, sized):
     """Also with returns and steps that are bimodal: a failure costs much, and lasts long."""

@@ -90,6 +90,7 @@ BOTH: Any = {"policies": ["random", "reach_ik"], "env_options": SHORT}
 LOOKED = "after an earlier look at {} episodes, p is too small"
 
 
+@pytest.mark.slow
 def test_looks_survive_overwriting_and_so_do_other_arguments(tmp_path):
     folder: Any = {"out": tmp_path, "overwrite": True}
     compare(**BOTH, episodes=10, baseline="random", out=tmp_path)
@@ -120,6 +121,7 @@ armctl.compare({BOTH["policies"]}, episodes=40, out={str(tmp_path)!r}, env_optio
     assert 10 in compare(**BOTH, episodes=40, out=tmp_path).looks
 
 
+@pytest.mark.slow
 def test_looks_at_other_policies_seeds_and_environments_are_none(tmp_path):
     compare(**BOTH, episodes=10, out=tmp_path)
     other: Any = {"out": tmp_path, "overwrite": True}

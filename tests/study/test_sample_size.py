@@ -11,6 +11,7 @@ from armctl.study.sample_size import plan_comparison
 from armctl.verdict.tables import Remark
 
 
+@pytest.mark.slow
 def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
     armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path)
     (pair,) = plan_comparison(0.05, pilot=tmp_path).tables[0].records
@@ -33,12 +34,14 @@ def test_a_plan_from_a_pilot_has_a_row_for_each_pair(tmp_path):
     assert without[1] == "Policies that differ by 5 points differ in at least 5 % of their episodes."
 
 
+@pytest.mark.slow
 def test_a_share_of_episodes_below_the_difference_is_no_row_of_its_own_to_detect():
     for difference in (0.01, 0.02, 0.1, 0.3):
         for record in plan_comparison(difference).tables[0].records:
             assert (record["episodes_to_detect"] is None) == (record["discordant"] < difference)
 
 
+@pytest.mark.slow
 def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
     armctl.compare(["reach_ik", "reach_ppo", "reach_bc", "random"], episodes=10, worlds=10, out=tmp_path)
     document = plan_comparison(0.1, pilot=tmp_path)
@@ -50,6 +53,7 @@ def test_a_plan_has_its_power_after_the_corrections_of_the_verdict(tmp_path):
         assert record["episodes_to_show_equivalence"] == episodes_to_show_equivalence(0.1, share, num_comparisons=4)
 
 
+@pytest.mark.slow
 def test_a_plan_without_a_pilot_is_for_a_single_pair_or_those_that_are_named():
     assert "to detect, for 3 tests of success, steps and return; to show equivalence, for 1 pair)" in (
         plan_comparison(0.1).tables[0].caption
@@ -98,6 +102,7 @@ def test_a_plan_needs_results(tmp_path):
         plan_comparison(0.02, pilot=tmp_path)
 
 
+@pytest.mark.slow
 def test_a_plan_without_pairs_is_for_each_policy_by_itself():
     document = plan_comparison(0.1, unpaired=True)
     (table,) = document.tables
@@ -115,6 +120,7 @@ def test_a_plan_without_pairs_is_for_each_policy_by_itself():
     assert remarks[-1] == "Policies that differ by 10 points have a mean success of 5 to 95 %."
 
 
+@pytest.mark.slow
 def test_a_pilot_may_be_planned_for_without_pairs(tmp_path):
     armctl.compare(["reach_ik", "random"], episodes=10, worlds=10, out=tmp_path)
     (pair,) = plan_comparison(0.05, pilot=tmp_path, unpaired=True).tables[0].records

@@ -57,6 +57,7 @@ def test_a_spared_winner_does_not_win(baseline):
     assert said.startswith("Not tested" if baseline else "reach_ppo is better than reach_mpc")
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("sees", "reads", "spared"),
     [

@@ -68,6 +68,7 @@ def test_random_actions_play_only_where_there_is_nothing_else():
     assert line_up("Pendulum-v1") == ("random",)
 
 
+@pytest.mark.slow
 def test_the_result_is_that_of_sweeps(finished):
     found, folder = finished
     assert set(timeless(folder).cell) == {f"{task}/{at}" for task in ("ArmReach-v0", "ArmReachMoving-v0")
@@ -116,6 +117,7 @@ def lost(observation):
 """
 
 
+@pytest.mark.slow
 def test_own_policies_play_where_they_fit_and_others_are_told(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(MINE)
     monkeypatch.chdir(tmp_path)
@@ -152,6 +154,7 @@ def test_an_interrupted_suite_resumes_and_is_the_same(finished, tmp_path):
     assert timeless(tmp_path / "cut").equals(timeless(finished[1]))
 
 
+@pytest.mark.slow
 def test_a_suite_that_grew_was_looked_at_before(folder):
     found = suite([REACH, MOVING], episodes=3, out=folder)
     words = "after an earlier look at 2 episodes, p is too small and intervals are too narrow"

@@ -55,6 +55,7 @@ def finished(tmp_path_factory):
     return run(out=folder), folder
 
 
+@pytest.mark.slow
 def test_the_points_are_those_of_the_comparisons(finished):
     found, folder = finished
     points = pd.read_csv(folder / "sweep.csv")
@@ -121,6 +122,7 @@ def test_p_is_mcnemars_on_the_same_episodes():
     assert expected < 1
 
 
+@pytest.mark.slow
 def test_asked_again_nothing_is_played_and_more_is_added(finished, tmp_path):
     _, folder = finished
     before = (folder / "episodes.csv").read_text()
@@ -140,6 +142,7 @@ def test_fewer_levels_than_there_are_would_be_forgotten(finished):
         run(out=folder, disturbances={"noise": [0.05]})
 
 
+@pytest.mark.slow
 def test_a_comparison_is_extended_to_a_sweep(tmp_path):
     alone = compare(POLICIES, episodes=4, seed=3, out=tmp_path)
     found = run(out=tmp_path, disturbances={"noise": [0.05]})

@@ -58,6 +58,7 @@ def test_where_more_episodes_get_worse_a_drop_is_told_whatever_the_mean(runs):
     assert np.mean([drops(rng, 0.85, up=-1.0) for _ in runs]) >= 0.95
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("up", [1.0, -1.0])
 def test_without_an_effect_drops_are_as_rare_as_they_should_be(up, runs):
     rng = np.random.default_rng(1)

@@ -169,6 +169,7 @@ def test_changes_are_paired_and_corrected_for_all_disturbed_settings():
     assert few.pairs["delay 1"].changed == 0
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("edge", [0.0, 0.2])
 def test_equal_effects_turn_in_five_of_a_hundred_tasks_at_most(edge, sized):
     # By significance here and not there, 92 % of tasks with an edge of 20 points had lost it somewhere, or won it.
@@ -196,6 +197,7 @@ def test_what_decision_times_are_is_said_of_whom_it_is_true(timing, said):
     assert said in answer_of(head(3, 3), timing=timing).costs
 
 
+@pytest.mark.slow
 def test_a_setting_that_spares_who_stands_for_a_kind_is_not_compared(tmp_path):
     """The expert reads the true state, which noise leaves alone: no head, and `spared` on the map."""
     env = "armctl/BridgeCross-v0"
@@ -223,6 +225,7 @@ def test_steps_of_a_task_are_a_bounded_paired_difference():
     assert (found.steps, found.steps_p) == (expected.estimate, expected.p)
 
 
+@pytest.mark.slow
 def test_the_best_hybrid_is_compared_with_the_best_of_both_other_kinds():
     def still(seen):
         return seen[3:9]

@@ -59,6 +59,7 @@ def test_worlds_and_workers_change_neither_episodes_nor_their_number(stopped, tm
     assert timeless(tmp_path).equals(timeless(stopped[1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 12, 25])
 def test_an_interrupted_one_goes_on_and_stops_where_it_would_have(stopped, tmp_path, number):
     played = []
@@ -84,6 +85,7 @@ def test_the_same_command_plays_nothing_more_after_it_stopped(stopped):
     assert again.verdict.result == comparison.verdict.result
 
 
+@pytest.mark.slow
 def test_without_a_decision_all_are_played():
     alike = compare({"a": "random", "b": "random"}, env_options=SHORT, until="decided", episodes=13)
     assert (alike.facts.planned, alike.stopped_of, len(alike.results)) == (13, None, 26)
@@ -97,6 +99,7 @@ def test_policies_that_are_equivalent_are_decided_too():
     assert " are equivalent in success within 30 points" in alike.verdict.result
 
 
+@pytest.mark.slow
 def test_a_comparison_with_an_earlier_look_holds_at_any_number_too(tmp_path):
     alike: Any = {"policies": {"a": "random", "b": "random"}, "env_options": SHORT, "out": tmp_path}
     first = compare(**alike, episodes=10)
@@ -111,6 +114,7 @@ def test_a_comparison_with_an_earlier_look_holds_at_any_number_too(tmp_path):
     assert third.facts.planned < 40
 
 
+@pytest.mark.slow
 def test_looks_at_episodes_that_were_overwritten_are_named(tmp_path):
     alike: Any = {"policies": {"a": "random", "b": "random"}, "env_options": SHORT, "out": tmp_path}
     compare(**alike, episodes=10)
@@ -122,6 +126,7 @@ def test_looks_at_episodes_that_were_overwritten_are_named(tmp_path):
     assert third.verdict.result.endswith("p is too small and intervals are too narrow.")
 
 
+@pytest.mark.slow
 def test_a_look_that_decided_already_ends_it_at_once(tmp_path):
     compare(**PLAYED, episodes=33, out=tmp_path)
     comparison = compare(**UNTIL, out=tmp_path)
@@ -133,6 +138,7 @@ def fails(observation):
     raise ValueError("always")
 
 
+@pytest.mark.slow
 def test_a_policy_that_cannot_play_does_not_hold_up_the_others():
     comparison = compare({"bad": fails, "random": "random", "reach_ik": "reach_ik"}, env_options=SHORT, until="decided",
                          episodes=40)  # fmt: skip
@@ -171,6 +177,7 @@ def swept(tmp_path_factory):
     return sweep(**UNTIL, disturbances={"noise": [0.01, 0.02]}, worlds=10, out=folder), folder
 
 
+@pytest.mark.slow
 def test_each_level_of_a_sweep_stops_by_itself(swept):
     found, folder = swept
     numbers = [comparison.facts.planned for comparison in found.comparisons.values()]

@@ -27,6 +27,7 @@ def test_it_prints_the_present_and_the_best_values(tuned):
     assert ("best" in rows) == (folder / "tuned/reach_mpc/reach_mpc_tuned.toml").exists()
 
 
+@pytest.mark.slow
 def test_the_same_command_again_plays_nothing(tuned):
     done, folder = tuned
     ledger = (folder / "tuned/reach_mpc/trials.csv").read_text()

@@ -99,6 +99,7 @@ def load_installed(group: str, name: str, kind: str, extra_for: str = "") -> Any
         raise ConfigurationError(f"cannot load the {kind} {name}: {described(error)}") from error
 
 
+@functools.cache
 def module_spec(entry: EntryPoint) -> ModuleSpec | None:
     """Return where the module of an entry point is, without importing it; None: nowhere, or its package is broken."""
     try:

@@ -46,6 +46,7 @@ def is_own(module: ModuleType) -> bool:
     return is_plugin(module) or not is_library(file)
 
 
+@functools.cache
 def is_library(file: Path) -> bool:
     """Return True if a file or folder belongs to Python or to an installed package."""
     return not _PACKAGES.isdisjoint(file.parts) or any(map(file.is_relative_to, _libraries()))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import scipy
@@ -23,6 +23,7 @@ COARSEST = 500
 """Part of a number of episodes that makes no difference to a plan."""
 
 
+@cache
 def episodes_to_detect(difference: float, share: float, power: float = 0.8, tests: int = 1, paired: bool = True) -> int:
     """Return how many episodes show a difference in success, with McNemar's exact test.
 
@@ -41,6 +42,7 @@ def episodes_to_detect(difference: float, share: float, power: float = 0.8, test
     return _min_episodes(lambda n: detection_power(n, difference, share, tests), power, 2 / share)
 
 
+@cache
 def episodes_to_show_equivalence(
     margin: float, share: float, power: float = 0.8, num_comparisons: int = 1, paired: bool = True
 ) -> int:
@@ -123,7 +125,7 @@ def _min_episodes(power_at: Callable[[int], float], power: float, period: float,
     A crossing is found by bisection, beginning near `start` if that is known. Around it, the last number that is not
     enough is looked for on a grid, and then between two of its numbers.
     """
-    power_of = lru_cache(maxsize=None)(power_at)
+    power_of = cache(power_at)
     factor = 2 if start == 1 else NEAR
     high = start
     while power_of(high) < power:
@@ -137,7 +139,7 @@ def _min_episodes(power_at: Callable[[int], float], power: float, period: float,
     stride = max(1, round(period / STEPS), high // COARSEST) | 1  # odd: where all are discordant, parity matters
     window = max(round(TEETH * period), stride)
     grid = range(max(1, high - window), high + window + 1, stride)
-    last = max((n for n in grid if power_of(n) < power), default=low)
+    last = next((n for n in reversed(grid) if power_of(n) < power), low)
     if stride > STEPS:
         return last + stride
-    return 1 + max((n for n in range(last + 1, last + stride) if power_of(n) < power), default=last)
+    return 1 + next((n for n in reversed(range(last + 1, last + stride)) if power_of(n) < power), last)

@@ -110,6 +110,7 @@ def test_a_recurrent_agent_of_parts_and_choices(tmp_path):
     check_acts_alike(model, load(4), "sb3/two-choices-v0")
 
 
+@pytest.mark.slow
 def test_a_world_remembers_the_same_whatever_the_number_of_worlds(recurrent):
     _, _, load = recurrent("two LSTMs")
     shown, began = observations("sb3/vector-push-v0", 30, 9)

@@ -49,6 +49,7 @@ def test_the_training_is_recorded_with_what_was_changed(trained):
     assert changed["options"]["worlds"] == 8
 
 
+@pytest.mark.slow
 def test_a_log_gets_a_line_for_each_evaluation_and_no_bars(trained):
     done, _ = trained
     assert len(re.findall(r"^\d+ steps: success .*% of 2 held-out episodes$", done.stdout, re.MULTILINE)) >= 3
