@@ -18,7 +18,7 @@ PIP := $(INSTALL) --quiet --constraint constraints.txt
 NAMED = { $(INSTALL) --progress-bar off --constraint constraints.txt $(1); \
   echo $$? > $(VENV)/status; } | sed -u -n 's/^Collecting \([^ ]*\).*/  \1/p; s/^Installing collected.*/  unpacking: minutes/p'; \
   exit $$(cat $(VENV)/status)
-# Three at once on two cores: tests often wait, for the disk and for what they have started.
+# Three at once on two cores, and four of all tests: they often wait, for the disk and for what they have started.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 3 --dist worksteal
 # Tests of what is measured: a third slower so, hence without those that kill, fill disks and reproduce.
 COVERED := tests/stats tests/verdict tests/report/test_tables.py $(patsubst %,tests/study/test_%.py, \
@@ -48,7 +48,7 @@ test-all: $(VENV)/full
 
 # In CI, beside `make coverage ARGS=--all`, which runs the others.
 test-uncovered: $(VENV)/full
-	$(PYTEST) --all $(addprefix --ignore=,$(COVERED)) $(ARGS)
+	$(PYTEST) --numprocesses 4 --all $(addprefix --ignore=,$(COVERED)) $(ARGS)
 
 test-thorough: $(VENV)/full
 	$(PYTEST) --all --thorough -m thorough $(ARGS)

@@ -102,7 +102,7 @@ def test_each_disturbance_reaches_each_policy_or_spares_it(env):
     policies = [*line_up(env), "random"]
     for disturbance, levels in sweep_levels(env).items():
         # Some are pushed in their second second only, and some lose no picture that matters before.
-        steps, episodes = (25, 2) if disturbance in ("pushes", "dropout") else (12 if "Bridge" in env else 25, 1)
+        steps, episodes = (25, 2) if disturbance in ("pushes", "dropout") else (8, 1)
         found = differing(policies, env, disturbance, levels[-1], steps, episodes)
         assert found.pop("random")[1] == (disturbance in ("noise", "noise_on_state", "dropout"))  # it reads nothing
         for policy, (changed, spared) in found.items():
