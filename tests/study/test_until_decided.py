@@ -229,6 +229,14 @@ def test_a_suite_stops_where_its_own_verdict_is_decided(stopped_suite):
     assert "--until decided --at-most 60" in write_report(folder).read_text()
 
 
+@pytest.mark.slow
+def test_a_task_with_one_kind_alone_has_nothing_to_decide(monkeypatch, tmp_path):
+    monkeypatch.setattr("armctl.study.suite_plan.line_up", lambda env, one_of_each: ("reach_ik", "reach_rate"))
+    monkeypatch.setattr("armctl.study.suite_plan.main_disturbances", lambda env, size: {"delay": [0, 8]})
+    found = suite(["armctl/ArmReach-v0"], episodes=60, until="decided", worlds=10, out=tmp_path)
+    assert [comparison.facts.planned for comparison in found.cells.values()] == [10, 10]
+
+
 def test_verdicts_that_are_told_together_are_corrected_together():
     reach = ["armctl/ArmReach-v0", "armctl/ArmReachMoving-v0"]
     together = suite_plan(reach, True, 20, 0, {"until": "decided"})

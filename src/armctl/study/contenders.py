@@ -35,11 +35,14 @@ class Task:
     """Empty before the undisturbed cell of a suite was played."""
 
     def is_decided(self, cell: "Cell", so_far: Comparison, num_verdicts: int) -> bool:
-        """Return True if a suite's verdict on a cell `so_far`, one of so many, is no longer undecided."""
+        """Return True if a suite's verdict on a cell `so_far`, one of so many, is no longer undecided.
+
+        Of one kind alone there is no verdict, and nothing to wait for.
+        """
         undisturbed = cell.setting == UNDISTURBED
         choices = contenders(so_far, any_number=True) if undisturbed else self.contenders
         pairs = list(itertools.combinations(choices.values(), 2))
-        return bool(pairs) and all(is_task_decided(so_far, *pair, num_verdicts * len(pairs)) for pair in pairs)
+        return bool(choices) and all(is_task_decided(so_far, *pair, num_verdicts * len(pairs)) for pair in pairs)
 
 
 def contenders(undisturbed: Comparison, any_number: bool) -> Contenders:
