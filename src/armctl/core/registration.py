@@ -99,7 +99,6 @@ def load_installed(group: str, name: str, kind: str, extra_for: str = "") -> Any
         raise ConfigurationError(f"cannot load the {kind} {name}: {described(error)}") from error
 
 
-@functools.cache
 def module_spec(entry: EntryPoint) -> ModuleSpec | None:
     """Return where the module of an entry point is, without importing it; None: nowhere, or its package is broken."""
     try:
@@ -108,6 +107,7 @@ def module_spec(entry: EntryPoint) -> ModuleSpec | None:
         return None
 
 
+@functools.cache
 def files_beside(group: str, suffix: str) -> dict[str, Path]:
     """Return files `NAME` + `suffix` beside the modules of what is installed in a group, by name. Imports no module."""
     homes = {entry.name: module_spec(entry) for entry in installed(group)}
