@@ -34,6 +34,8 @@ from .servers import servers
 pytestmark = pytest.mark.slow
 BIN = Path(sys.executable).parent
 OPTIONS = {"max_episode_steps": 30}
+ATTEMPTS = 5
+"""Starts of a node of Ray, which ends unless it is there in 30 s (`ray._private.node`): on a busy machine, often."""
 MINE = """
 import armctl
 from helpers_of_mine import still
@@ -64,12 +66,14 @@ def free_port():
         return one.getsockname()[1]
 
 
-def until(ready, what, seconds=600):
-    """Wait for a server: on a busy machine the imports of Ray's head alone take minutes."""
+def until(ready, what, seconds=600, process=None):
+    """Wait for a server, or for its process to end: on a busy machine the imports of Ray's head alone take minutes."""
     deadline = time.monotonic() + seconds
     while not ready():
         if time.monotonic() >= deadline:
             raise TimeoutError(f"{what} did not answer in {seconds} s")
+        if process is not None and process.poll() is not None:
+            raise TimeoutError(f"{what} ended")
         time.sleep(0.2)
 
 
@@ -83,20 +87,20 @@ def ray_head(tmp_path_factory):
     """The port of a node of Ray with a core, to which others can come, and the address for clients.
 
     One head at a time, of all pytest's workers: two on one machine give their clients the same ports (from 23000). A
-    head that does not answer is replaced, twice.
+    head that ends (Ray gives a node 30 s to start), or does not answer, is replaced.
     """
     with filelock.FileLock(tmp_path_factory.getbasetemp().parent / "ray.lock"), pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_AUTH_MODE", "disabled")  # Ray asks nobody for a token
-        for attempt in range(3):
+        for attempt in reversed(range(ATTEMPTS)):
             with servers(tmp_path_factory.mktemp("head")) as started, short_folder() as folder:
                 port, client = free_port(), 9000 + free_port() % 900
                 here = ["--node-ip-address=127.0.0.1", f"--port={port}", f"--ray-client-server-port={client}"]
-                start_ray(started, "--head", *here, "--include-dashboard=false", f"--temp-dir={folder}")
+                head = start_ray(started, "--head", *here, "--include-dashboard=false", f"--temp-dir={folder}")
                 try:
-                    until(lambda client=client: answers(client), "Ray's head", seconds=200)
-                    until(lambda client=client: _workers(f"ray://127.0.0.1:{client}") == 1, "Ray's client", seconds=200)
+                    until(lambda client=client: answers(client), "Ray's head", 200, head)
+                    until(lambda client=client: _workers(f"ray://127.0.0.1:{client}") == 1, "Ray's client", 200, head)
                 except TimeoutError as error:
-                    if attempt == 2:
+                    if not attempt:
                         raise RuntimeError(f"{error}: {started.output()}") from error
                     continue
                 yield port, f"ray://127.0.0.1:{client}"
@@ -112,14 +116,14 @@ def short_folder():
 def ray_cluster(ray_head, processes):
     """The address of a cluster of two nodes, each with a core, and the second node's process.
 
-    A second node that does not come is replaced, twice.
+    A second node that ends, or does not come, is replaced.
     """
     port, address = ray_head
     with connect(address) as engine:  # once: for each client, Ray starts an interpreter
-        for _ in range(3):
+        for _ in range(ATTEMPTS):
             node = start_ray(processes, f"--address=127.0.0.1:{port}")
             with contextlib.suppress(TimeoutError):
-                until(lambda: engine.count() == 2, "Ray's second node", seconds=200)  # type: ignore[attr-defined]
+                until(lambda: engine.count() == 2, "Ray's second node", 200, node)  # type: ignore[attr-defined]
                 return address, node
             processes.kill(node)
     raise RuntimeError(f"Ray's second node did not answer: {processes.output()}")
