@@ -44,7 +44,7 @@ test: $(VENV)/full
 	$(PYTEST) $(ARGS)
 
 test-all: $(VENV)/full
-	$(PYTEST) --all $(ARGS)
+	$(PYTEST) --numprocesses 4 --all $(ARGS)
 
 # In CI, beside `make coverage ARGS=--all`, which runs the others.
 test-uncovered: $(VENV)/full
