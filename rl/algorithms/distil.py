@@ -26,10 +26,12 @@ from armctl.core.arrays import map_arrays
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, options
 from armctl.envs import make_worlds
+from armctl.kinematics import ArmModel
 from armctl.policies import Policy, make_policy
 from armctl.rl.algorithms.cloning import LAST_RATE
 from armctl.rl.data.demonstrations import teacher_in
 from armctl.rl.networks.actor import Actor, tensors
+from armctl.rl.networks.commanding import CommandingNetwork, Unscaled, layout_of
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.recurrent import RecurrentNetwork, copy_weights
 from armctl.rl.networks.view import Features
@@ -64,7 +66,11 @@ class DistilOptions(TrainingOptions):
     largest_gradient: Positive = 1.0
     """Norm to which gradients are clipped."""
     start: str | None = None
-    """Agent from whose weights the student starts, trained by distil with the same sizes; None: random weights."""
+    """Agent from whose weights the student starts, trained by distil with the same sizes, or without a memory and with
+    one layer more than `layers`; None: random weights."""
+    commanding: bool = False
+    """Actions are relative to the student's own last command instead of the joints that it observes, with their noise;
+    for arms that are commanded by joint positions."""
     features: Features = "invariant"
     evaluation_every: Count = 100_000
 
@@ -94,16 +100,13 @@ class Student:
     def __init__(self, training: Training, options: DistilOptions) -> None:
         self.training, self.options, self.steps = training, options, 0
         torch.manual_seed(training.seed)
-        view, space = training.view, training.held_out.single_observation_space
-        self.network = RecurrentNetwork(
-            view.extractor(space), hidden_units=options.hidden_units, layers=options.layers,
-            memory_units=options.memory_units, actions=training.held_out.single_action_space.shape[0],
-        )  # fmt: skip
+        space = training.held_out.single_observation_space
+        self.network, scale = network_for(training, options)
         if options.start is not None:
             start = make_policy(options.start, training.held_out)
             numbers = start.numbers if isinstance(start, OnnxPolicy) else {}
             copy_weights(self.network, {name: torch.tensor(values) for name, values in numbers.items()})
-        self.actor = Actor(self.network, view.action_scale, space, self.network.memory)
+        self.actor = Actor(self.network, scale, space, self.network.memory)
         self._optimizer = torch.optim.Adam(self.network.parameters())
         training.meter.watch(self._optimizer)
         if (newest := training.newest_checkpoint()) is not None:
@@ -149,11 +152,30 @@ class Student:
         self.training.logger.record("train/loss", loss.item())
 
 
+def network_for(training: Training, options: DistilOptions) -> tuple[RecurrentNetwork, torch.nn.Module]:
+    """Return a student's network with random weights, and the map from its actions to the environment's."""
+    view, envs = training.view, training.held_out
+    features = view.extractor(envs.single_observation_space)
+    sizes = {"hidden_units": options.hidden_units, "layers": options.layers, "memory_units": options.memory_units}
+    if not options.commanding:
+        return RecurrentNetwork(features, actions=envs.single_action_space.shape[0], **sizes), view.action_scale
+    task, declared = envs.task, envs.task.learner_view
+    if declared.relative_to is None or envs.normalized:
+        raise ConfigurationError("commanding is for arms that are commanded by joint positions, and observe their own")
+    network = CommandingNetwork(
+        features, layout_of(task), ArmModel(task.robot).geometry(), idle=task.idle_action,
+        largest_move=declared.largest_move, **sizes,
+    )  # fmt: skip
+    return network, Unscaled()
+
+
 @dataclass
 class LabelledStep:
     """A control step in n worlds."""
 
     observations: Any
+    inputs: Any
+    """Inputs of the student's network, from observations and memory."""
     labels: torch.Tensor
     """(n, k) actions of the teacher in the present states."""
     ongoing: torch.Tensor
@@ -192,28 +214,31 @@ class DistillationBatch:
 
     def loss(self, rows: NDArray[np.intp]) -> torch.Tensor:
         """Return the mean squared difference to the labels in some worlds, in the network's unit."""
-        memory, losses = [remembered[rows] for remembered in self._initial_memory], []
-        for step in self._steps:
-            selected = map_arrays(lambda values: values[rows], step.observations)
-            actions, *memory = self._student.network(selected, *memory)
-            memory = [remembered * step.ongoing[rows] for remembered in memory]
-            errors = (actions - step.targets[rows]).square().mean(dim=1)
-            losses.append((errors * step.is_labelled[rows]).mean())
+        network = self._student.network
+        memory = [remembered[rows] for remembered in self._initial_memory]
+        inputs = [map_arrays(lambda values: values[rows], step.inputs) for step in self._steps]
+        replayed = network.replay(inputs, [step.ongoing[rows] for step in self._steps], memory)
+        losses = [
+            (network.errors(actions, step.targets[rows]).mean(dim=1) * step.is_labelled[rows]).mean()
+            for actions, step in zip(replayed, self._steps, strict=True)
+        ]
         return torch.stack(losses).mean()
 
     def _step(self) -> "LabelledStep":
         """Make a control step."""
         student, observations, envs = self._student, tensors(self._observations), self._envs.unwrapped
+        inputs = student.network.inputs(observations, *self._memory)
         actions, *self._memory = student.network(observations, *self._memory)
         labels = self._teacher.act(self._observations)
         student.training.meter.add(teacher_queries=len(labels))
         delay = envs.disturbances.get("delay")
         delays = np.zeros(len(labels)) if delay is None else delay.levels.copy()
-        done = self._act(student.actor.scale(observations, actions).numpy(), labels)
+        executed, done = self._act(student.actor.scale(observations, actions).numpy(), labels)
         ongoing = torch.as_tensor(~done)[:, None]
-        self._memory = [remembered * ongoing for remembered in self._memory]
+        memory = student.network.remember(self._memory, torch.as_tensor(executed))
+        self._memory = [remembered * ongoing for remembered in memory]
         labels = torch.as_tensor(labels, dtype=torch.float32)
-        return LabelledStep(observations, labels, ongoing, torch.as_tensor(delays))
+        return LabelledStep(observations, inputs, labels, ongoing, torch.as_tensor(delays))
 
     def _label(self, t: int) -> None:
         """Give step t its labels: where actions are late, those of the step in which they arrive."""
@@ -227,13 +252,14 @@ class DistillationBatch:
             step.is_labelled = step.is_labelled | arrives
             ongoing = ongoing & later.ongoing[:, 0]
 
-    def _act(self, actions: NDArray[Any], labels: NDArray[Any]) -> NDArray[np.bool_]:
-        """Take the student's actions (n, k), or the teacher's, and return whose episode is done, (n,)."""
+    def _act(self, actions: NDArray[Any], labels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Take the student's actions (n, k), or the teacher's, and return them, and whose episode is done, (n,)."""
         mixed = self._student.options.mixed_steps
         share = 1 - self._student.steps / mixed if mixed else 0.0
         chosen = self._rng.random(len(labels)) < share
-        step = self._envs.step(np.where(chosen[:, None], labels, actions))
+        executed = np.where(chosen[:, None], labels, actions)
+        step = self._envs.step(executed)
         self._observations, done = step[0], step[2] | step[3]
         if done.any():
             self._teacher.reset(np.flatnonzero(done).astype(np.int32))
-        return done
+        return executed, done

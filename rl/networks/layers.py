@@ -1,7 +1,7 @@
 """Parts that several networks are built of."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 
@@ -40,3 +40,22 @@ def in_first_joint_frame(
     distance = length(offset)
     lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
     return [lengths, offset / (distance + NEARBY), joints[:, 1:].sin(), joints[:, 1:].cos()], target
+
+
+def joint_frames(
+    turns: torch.Tensor, offsets: torch.Tensor, joints: torch.Tensor
+) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    """Yield the rotation (n, 3, 3) and origin (n, 3) of each joint's frame at `joints` (n, dof).
+
+    `turns` (3, dof, 3, 3) and `offsets` (dof, 3) are base, sine and versine, and offset of `ArmModel.geometry`.
+    """
+    for k in range(turns.shape[1]):
+        angle = joints[:, k, None, None]
+        base, sine, versine = turns[:, k]
+        turn = base + angle.sin() * sine + (1 - angle.cos()) * versine
+        if k == 0:
+            rotation, origin = turn, offsets[:1].expand(joints.shape[0], 3)
+        else:
+            origin = origin + torch.matmul(rotation, offsets[k])
+            rotation = torch.matmul(rotation, turn)
+        yield rotation, origin

@@ -14,7 +14,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.core.errors import ConfigurationError
-from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, rotated
+from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, joint_frames, rotated
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
@@ -63,15 +63,9 @@ class LinkBoxFeatures(BaseFeaturesExtractor):
     def link_points(self, joints: torch.Tensor) -> torch.Tensor:
         """Return points (n, p, 3) m along the links, in the first joint's frame, at `joints` (n, dof)."""
         placed, first = [], 0
-        for k, points in enumerate(self.points_of):
-            angle = (joints[:, k] * (k > 0))[:, None, None]
-            base, sine, versine = self.turns[:, k]
-            turn = base + angle.sin() * sine + (1 - angle.cos()) * versine
-            if k == 0:
-                rotation, origin = turn, self.offsets[:1].expand(joints.shape[0], 3)
-            else:
-                origin = origin + torch.matmul(rotation, self.offsets[k])
-                rotation = torch.matmul(rotation, turn)
+        without_yaw = torch.cat((torch.zeros_like(joints[:, :1]), joints[:, 1:]), dim=1)
+        frames = joint_frames(self.turns, self.offsets, without_yaw)
+        for points, (rotation, origin) in zip(self.points_of, frames, strict=True):
             if points:
                 local = self.points[first : first + len(points)]
                 placed.append(origin[:, None] + torch.matmul(local, rotation.transpose(1, 2)))

@@ -1,6 +1,7 @@
 """A recurrent network, whose memory is the state of a gated recurrent unit (Cho et al., EMNLP 2014)."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -13,21 +14,53 @@ MEMORY = "hidden"
 """Name of the memory."""
 LAST_IMAGE = "last_image"
 """Name of the features of the last image that was not lost."""
+UNIT = "unit.weight_ih"
+"""Name of a parameter of the gated recurrent unit."""
+WIDER = ("encoder.1.weight", "head.0.weight")
+"""Names of weights that have more inputs than in a network without memory, the last ones."""
+FEATURES = re.compile(r"encoder\.0\.(features\.)?")
+"""Beginning of the names of the features' parameters."""
 
 
 def copy_weights(network: torch.nn.Module, weights: Mapping[str, torch.Tensor]) -> None:
     """Copy the weights of an agent that distil has trained to a network of the same sizes.
 
-    Raises `ConfigurationError` if there are none for a parameter, or of another shape.
+    Those of a network without memory, of layers of the same sizes, are copied too: what is seen or remembered besides
+    has no effect then. Raises `ConfigurationError` if there are none for a parameter, or of another shape.
     """
+    names = _memoryless_names(network) if f"network.{UNIT}" not in weights else {}
     for name, parameter in network.named_parameters():
-        values = weights.get(f"network.{name}")
+        if names and name.startswith("unit."):
+            continue
+        values = _numbers(f"network.{names.get(name, name)}", parameter, weights)
+        if names and name in WIDER and values is not None:
+            unused = torch.zeros(len(values), max(0, parameter.shape[1] - values.shape[1]))
+            values = torch.cat((values, unused), dim=1)
         if values is None or values.shape != parameter.shape:
             raise ConfigurationError(
                 f"the training starts from an agent as distil trains it, with weights network.{name} of shape "
                 f"{tuple(parameter.shape)}: this one has none"
             )
         parameter.data.copy_(values)
+
+
+def _memoryless_names(network: torch.nn.Module) -> dict[str, str]:
+    """Return the names of parameters in a sequence of features and layers, by those in a recurrent network."""
+    names = [name for name, _ in network.named_parameters() if not name.startswith("unit.")]
+    features = {name: FEATURES.sub("0.", name) for name in names if FEATURES.match(name)}
+    layers = dict.fromkeys(name.rpartition(".")[0] for name in names if name not in features)
+    numbers = {layer: 2 * i + 1 for i, layer in enumerate(layers)}  # a rectifier is behind each layer
+    return features | {
+        name: f"{numbers[name.rpartition('.')[0]]}.{name.rpartition('.')[2]}" for name in names if name not in features
+    }
+
+
+def _numbers(name: str, parameter: torch.Tensor, weights: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
+    """Return a parameter's numbers by its name, or, if the exported graph has them transposed, by its shape."""
+    if name in weights or parameter.dim() != 2:
+        return weights.get(name)
+    transposed = [values for key, values in weights.items() if "." not in key and values.shape == parameter.shape[::-1]]
+    return transposed[0].T if len(transposed) == 1 else None
 
 
 class RecurrentNetwork(torch.nn.Module):
@@ -46,7 +79,9 @@ class RecurrentNetwork(torch.nn.Module):
         )
         self.unit = torch.nn.GRUCell(hidden_units, memory_units)
         self.image_size: int = getattr(features, "image_size", 0)
-        self.memory = {MEMORY: (memory_units,)} | ({LAST_IMAGE: (self.image_size,)} if self.image_size else {})
+        self.memory: dict[str, tuple[int, ...]] = {MEMORY: (memory_units,)} | (
+            {LAST_IMAGE: (self.image_size,)} if self.image_size else {}
+        )
         sizes = [hidden_units + memory_units] + [hidden_units] * layers
         self.head = torch.nn.Sequential(*hidden_layers(sizes), torch.nn.Linear(sizes[-1], actions))
 
@@ -70,3 +105,27 @@ class RecurrentNetwork(torch.nn.Module):
         """Return actions (n, k), mostly in [-1, 1], and the next memory, for observations (n, ...) and the memory."""
         recalled, *next_memory = self.recall(observation, *memory)
         return self.head(recalled), *next_memory
+
+    def inputs(self, observation: Any, *memory: torch.Tensor) -> Any:
+        """Return the inputs (n, ...) of `replay` for observations (n, ...) and the memory."""
+        return observation
+
+    def replay(
+        self, inputs: Sequence[Any], ongoing: Sequence[torch.Tensor], memory: list[torch.Tensor]
+    ) -> Iterator[torch.Tensor]:
+        """Yield the actions (n, k) of consecutive steps, for the inputs of each and the memory (n, ...) before them.
+
+        `ongoing` (n, 1) is False where the episode ends with the step: the next one has no memory.
+        """
+        for observations, goes_on in zip(inputs, ongoing, strict=True):
+            actions, *memory = self(observations, *memory)
+            memory = [remembered * goes_on for remembered in memory]
+            yield actions
+
+    def remember(self, memory: list[torch.Tensor], executed: torch.Tensor) -> list[torch.Tensor]:
+        """Return the memory (n, ...) if `executed` (n, k) were the environment's actions instead of its own."""
+        return memory
+
+    def errors(self, actions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        """Return the errors (n, k) of actions, which are to become small: squares."""
+        return (actions - targets).square()

@@ -185,7 +185,7 @@ class AgentCard(BaseModel):
             return "state"
         if self.env_options.get("observation") in ("full", "state") and observation.startswith("state"):
             return "state"
-        if self.learner_options.get("features") == "model":
+        if self.learner_options.get("features") == "model" or self.learner_options.get("commanding"):
             return "model"
         return "observation + velocities" if "joint_velocities" in observation else "observation"
 

@@ -194,7 +194,8 @@ class ArmModel:
         """Return the moving links as numbers, for networks: joints as in `armctl.kernels.arm`, and points along links.
 
         `base`, `sine`, `versine` are (dof, 3, 3), `offset` is (dof, 3). Points (p, 3) are in the frame of their `joint`
-        (p,), which counts from 1, at most `spacing` (m) apart; `radii` (p,) are the links' radii, m.
+        (p,), which counts from 1, at most `spacing` (m) apart; `radii` (p,) are the links' radii, m. `tip` (3,) is the
+        end-effector in the frame of the last joint, m.
 
         Raises `ConfigurationError` for an arm with joints that slide.
         """
@@ -213,7 +214,8 @@ class ArmModel:
                 joint.append(int(link["joint"]))
                 radii.append(float(link["radius"]))
         turning = {name: self.joints[name].tolist() for name in ("base", "sine", "versine", "offset")}
-        return {**turning, "joint": joint, "points": points, "radii": radii}
+        tip = self.joints["tip"][-1].tolist()
+        return {**turning, "joint": joint, "points": points, "radii": radii, "tip": tip}
 
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
         jacobian = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)
