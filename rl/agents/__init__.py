@@ -32,6 +32,16 @@ reach_robust_ppo = _agent(
 )
 moving_ppo = _agent("moving_ppo", "A clone of `reach_ik` on `armctl/ArmReachMoving-v0`, from which PPO goes on.")
 moving_dagger = _agent("moving_dagger", "DAgger on `armctl/ArmReachMoving-v0`, from `reach_ik`.")
+moving_robust_distil = _agent(
+    "moving_robust_distil",
+    "`moving_dagger`, distilled in training episodes that were disturbed; it knows the arm's kinematics.",
+    "model",
+)
+obstacles_robust_distil = _agent(
+    "obstacles_robust_distil",
+    "`obstacles_plan_bc` in training episodes with sensor noise; it sees the boxes, and knows the arm's geometry.",
+    "model",
+)
 obstacles_plan_bc = _agent(
     "obstacles_plan_bc",
     "Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are.",
