@@ -35,6 +35,11 @@ def test_options_survive_as_text(value):
     assert option_value(str(value)) == value
 
 
+@pytest.mark.parametrize(("text", "value"), [("true", True), ("false", False)])
+def test_truth_is_written_as_in_recipes_too(text, value):
+    assert option_value(text) is value
+
+
 def test_an_option_of_a_long_text_is_not_read(folder):
     change_facts(folder, lambda facts: facts.update(env_options={"tolerance": f"[{'1,' * 500}]"}))
     with pytest.raises(ResultsError, match="option tolerance has 1,002 characters, more than 1,000"):

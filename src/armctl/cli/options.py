@@ -305,7 +305,7 @@ def environment_options(env: str, pairs: list[str] | None, **short_forms: Any) -
 
 
 def options_of(pairs: list[str] | None, flag: str = "--set", **short_forms: Any) -> dict[str, Any]:
-    """Options from NAME=VALUE pairs, numbers, tuples, True, False and None, or else strings; and from short forms."""
+    """Options from NAME=VALUE pairs, numbers, tuples, true, false and None, or else strings; and from short forms."""
     from armctl.core.options import option_value
 
     options = {name: value for name, value in short_forms.items() if value is not None}

@@ -112,9 +112,9 @@ def changed_options(options: Options, values: Mapping[str, Any], kind: str = "op
 
 
 def option_value(text: str) -> Any:
-    """Return a number, tuple, True, False or None as Python writes it; anything else is text."""
+    """Return a number, tuple, True, False or None as Python writes it, also true or false; anything else is text."""
     try:
-        return ast.literal_eval(text)
+        return text == "true" if text in ("true", "false") else ast.literal_eval(text)
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
         return text
 
