@@ -35,8 +35,6 @@ SMALL_ERROR = 0.05
 MOVING_GAIN = 0.07
 """Weight of the latest of many readings of what moves: a fifth of the noise of places is left, and that of velocities
 adds 0.11 s times its size."""
-
-
 PRECISION = 0.01
 """m, rad: standard deviation of the means of what stands still, above which the arm waits."""
 
