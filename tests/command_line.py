@@ -23,11 +23,17 @@ ENVIRONMENT = {"COLUMNS": "100", "NO_COLOR": "1"}
 
 @contextlib.contextmanager
 def full_disk(size):
-    """Longer files than `size` bytes cannot be written, as on a full disk, here and by processes that begin here."""
+    """Longer files than `size` bytes cannot be written, as on a full disk, here and by processes that begin here.
+
+    Python keeps no bytecode meanwhile: it would keep what it could write of it, and read that ever after.
+    """
     before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
-        yield
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "dont_write_bytecode", True)
+            patch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+            yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
 
@@ -39,7 +45,7 @@ def program(*arguments, cwd, check=True, disk=None, **variables):
         capture_output=True,
         text=True,
         cwd=cwd,
-        env=os.environ | ENVIRONMENT | variables,
+        env=os.environ | ENVIRONMENT | ({} if disk is None else {"PYTHONDONTWRITEBYTECODE": "1"}) | variables,
         preexec_fn=None if disk is None else functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (disk, disk)),
     )
     assert not check or done.returncode == 0, done.stderr
