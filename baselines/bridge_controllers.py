@@ -39,6 +39,8 @@ SIZE_READINGS = 100
 """Number of the latest maps of which medians are taken."""
 EXTRA_MARGIN = 0.05
 """m: added to distances if readings are noisy or the rover does not do what it should; the least gaps have as much."""
+NARROW_CLEARANCE = 0.36
+"""m from the rover's centre to anything, where a path leads through a gap that is too narrow for the usual one."""
 SLOWEST = 0.85
 """m/s: speed of the weakest rover, for which it has just the time."""
 FASTEST_PER_ACCELERATION, FASTEST_PER_TURN_RATE = 0.33, 2.5
@@ -77,12 +79,14 @@ class PathFollower(Protocol):
 def path_from(bridge: BridgeMap, position: Array, goal_x: float, margin: float = 0.0) -> Array:
     """Return corners (m, 2) m of a path to the goal line; (0, 2) if there is none, as off the free deck.
 
-    It keeps `margin` (m) more from obstacles than usual if there is such a path near.
+    It keeps `margin` (m) more from obstacles than usual if there is such a path near, and `NARROW_CLEARANCE` if there is
+    no usual one.
     """
     on_deck = bridge.clearance(position[None])[0] > 0 and position[0] < goal_x
     options = PathPlannerOptions()
     wide = replace(options, clearance=options.clearance + margin, searches=options.searches[:2])
-    for choice in ((wide, options) if margin else (options,)) if on_deck else ():
+    narrow = replace(options, clearance=NARROW_CLEARANCE)
+    for choice in ((wide, options, narrow) if margin else (options, narrow)) if on_deck else ():
         path = plan_path(bridge, position, goal_x, choice).path
         if len(path):
             return path

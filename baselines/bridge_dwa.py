@@ -65,7 +65,7 @@ class BridgeDwaOptions:
     """Number of linear velocities tried, and about half of that of angular ones."""
 
 
-@made_for("armctl/BridgeCross*", controls="rover")
+@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
 @sees("model", family="DWA")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Dynamic window approach on the depth camera's ranges, along shortest paths around what it has seen."""

@@ -83,7 +83,7 @@ class BridgeLidarOmplOptions:
     """Control steps after which the path is planned anew in any case."""
 
 
-@made_for("armctl/BridgeCross*", controls="rover")
+@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
 @sees("model", family="OMPL")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """OMPL paths over a map of what its depth camera saw, and MPC along them, past the people that it tracks."""

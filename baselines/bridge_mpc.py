@@ -50,7 +50,7 @@ FAR_STEPS, FAR_PERIOD = 40, 0.2
 """A rover that turns slowly among people looks so many steps of so many s ahead."""
 
 
-@made_for("armctl/BridgeCross*", controls="rover")
+@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
 @sees("state", family="MPC", foresight="pedestrians")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and nonlinear MPC along it, around the predicted pedestrians."""

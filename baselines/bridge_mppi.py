@@ -47,7 +47,7 @@ class BridgeMppiOptions:
     costs: DriveCosts = field(default_factory=DriveCosts)
 
 
-@made_for("armctl/BridgeCross*", controls="rover")
+@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
 @sees("state", family="sampling", foresight="pedestrians")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """MPPI: samples velocities, rolled out past blocks and predicted pedestrians on the true map."""

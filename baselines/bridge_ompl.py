@@ -57,7 +57,7 @@ class BridgeOmplOptions:
     """m/s^2: limits the speed in a curve."""
 
 
-@made_for("armctl/BridgeCross*", controls="rover")
+@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
 @sees("state", family="OMPL", foresight="pedestrians")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> BridgePolicy:
     """OMPL path on the true map, and pure pursuit; waits for pedestrians who cross the path."""

@@ -51,7 +51,7 @@ class BridgeOrcaOptions:
     """Share of the avoidance that is the rover's: 0.5 among people who take the other half."""
 
 
-@made_for("armctl/BridgeCross*", controls="rover")
+@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
 @sees("state", family="velocity obstacles")
 def make(env: TaskVectorEnv, options: Mapping[str, Any] = MappingProxyType({})) -> "BridgeOrca":
     """OMPL path on the true map, and velocity obstacles (ORCA) for people, by their present velocities."""

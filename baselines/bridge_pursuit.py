@@ -32,7 +32,7 @@ class BridgePursuitOptions:
     """m beside the rover that must be free as well."""
 
 
-@made_for("armctl/BridgeCross*", controls="rover")
+@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
 @sees("model", family="pure pursuit")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Pure pursuit along the straight line to the goal; stops for what it sees ahead."""

@@ -38,6 +38,7 @@ for env_id, name, seed, steps, picture in (
     ("armctl/ArmReach-v0", "reach_ik", 3, 4, "arm_reach.png"),
     ("armctl/ArmPose-v0", "reach_ik", 3, 12, "arm_pose.png"),
     ("armctl/ArmPush-v0", "push_line", 3, 38, "arm_push.png"),
+    ("armctl/BarnCross-v0", "bridge_ompl", 3, 25, "barn.png"),
     (
         "armctl/ArmReachObstacles-v0",
         "reach_ompl",
@@ -51,7 +52,7 @@ for env_id, name, seed, steps, picture in (
     observation, _ = env.reset(seed=seed)
     policy.reset(np.zeros(1, dtype=np.int32))
     for _ in range(steps):
-        observation, *_ = env.step(policy.act(observation[None])[0])
+        observation, *_ = env.step(policy.act(batch_of_one(observation))[0])
     imageio.imwrite(FOLDER / picture, env.render())
 
 bridge = "armctl/BridgeCrossMoving-v0"

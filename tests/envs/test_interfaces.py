@@ -22,6 +22,7 @@ INTERFACES = [
     *((env, LEARNER) for env in REACH),
     *(("armctl/ArmPose-v0", {"observation": name}) for name in ("paper", "features", "full")),
     *(("armctl/ArmPush-v0", {"observation": name}) for name in ("paper", "features", "full")),
+    ("armctl/BarnCross-v0", {"observation": "full"}),
     (REACH[0], {**LEARNER, "goal": True}),
     (REACH[0], {"control": "torque", "observation": "full", "actions": "normalized"}),
     *((env, {"observation": name, **SMALL}) for env in BRIDGE for name in ("paper", "features", "full", "image")),

@@ -20,6 +20,7 @@ LINES_UP = {
         "obstacles_imagined",
         "random",
     ),
+    "armctl/BarnCross-v0": ("bridge_ompl", "bridge_dwa", "bridge_distil", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_distil", "random"),
     "armctl/BridgeCrossMoving-v0": (
         "bridge_ompl",

@@ -24,6 +24,7 @@ PAIRS = [
     pytest.param("armctl/ArmReachObstacles-v0", "ik", "reach_ompl", marks=pytest.mark.slow),
     ("armctl/ArmReachObstacles-v0", "ompl", "reach_ompl:prepared=false"),  # it has the potential's own path
     ("armctl/BridgeCross-v0", "distance", "bridge_ompl"),
+    pytest.param("armctl/BarnCross-v0", "ompl", "bridge_ompl", marks=pytest.mark.slow),
     ("armctl/BridgeCross-v0", "ompl", "bridge_ompl"),
     ("armctl/BridgeCrossMoving-v0", "ompl", "bridge_ompl"),
     ("armctl/BridgeCrossMoving-v0", "people", "bridge_ompl"),

@@ -7,6 +7,8 @@ from armctl.core.lazy import on_first_use
 if TYPE_CHECKING:
     from armctl.core.arrays import Observations
     from armctl.tasks.bridge import (
+        BarnOptions,
+        BarnTask,
         BridgeMovingOptions,
         BridgeMovingTask,
         BridgeOptions,
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
 __all__ = [
     "OBSERVATION",
     "REWARD",
+    "BarnOptions",
+    "BarnTask",
     "BridgeMovingOptions",
     "BridgeMovingTask",
     "BridgeOptions",

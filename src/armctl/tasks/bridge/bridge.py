@@ -92,7 +92,7 @@ class BridgeTask(Task):
             self.reward_functions["progress"] = lambda state: (
                 options.progress * (state.previous_distance - state.distance)
             )
-        self._furniture = Furniture(self.simulation, options.deck_length, options.blocks, options.walkers, MOVES)
+        self._furniture = Furniture(self.simulation, options)
         self.rover = self._make_rover()
         self.joints, self.rollout_worlds = self.rover.joints, self.rover.rollout_worlds
         self._see = self._make_camera()

@@ -16,7 +16,7 @@ from armctl.tasks.bridge.layout import MAX_BLOCK_YAW, WALKER_SPEEDS
 from armctl.tasks.bridge.options import BridgeOptions
 from armctl.tasks.bridge.pedestrians import Pedestrians
 from armctl.tasks.bridge.state import BridgeState
-from armctl.tasks.bridge.world import BLOCK_SIZES, CONTACT_CLASSES, LOOKS
+from armctl.tasks.bridge.world import CONTACT_CLASSES, LOOKS
 from armctl.tasks.task import Ids
 
 PIXEL_CLASSES = ("sky", *CONTACT_CLASSES)
@@ -116,7 +116,7 @@ def _state_bounds(options: BridgeOptions) -> NDArray[np.float32]:
     """Return the lowest and highest of each number of `full_state`, (2, k)."""
     length, width = options.deck_length, options.deck_width / 2
     rover = [length + OFF_DECK, width + OFF_DECK, 1.0, 1.0, *FASTEST]
-    block = [length, width, MAX_BLOCK_YAW, *np.max(BLOCK_SIZES, axis=0)]
+    block = [length, width, MAX_BLOCK_YAW, *options.largest_block]
     walker = [length, width, max(WALKER_SPEEDS), max(WALKER_SPEEDS)]
     highest = np.array([*rover, *block * options.blocks, *walker * options.walkers], dtype=np.float32)
     return np.stack((-highest, highest))

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, Strict
 
@@ -62,6 +62,11 @@ class BridgeOptions:
     """Reward per metre of progress towards the goal line, as an additional reward term."""
     reward: Mapping[str, Term] = field(default_factory=lambda: REWARD)
     """Named reward terms."""
+
+    largest_block: ClassVar[tuple[float, float]] = (0.3, 0.8)
+    """m: largest half length and half width of a block."""
+    blocks_vary: ClassVar[bool] = False
+    """True if number and sizes of the blocks differ between episodes. Absent ones have size 0."""
 
     @property
     def view(self) -> str:

@@ -22,6 +22,7 @@ from armctl.planning import PathCertificate
 from armctl.robot_description import ArmDescription
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
 from armctl.scene import BOX_NUMBERS, Boxes
+from armctl.simulation.box_geoms import ABSENT_HALF_SIZE, BoxGeoms
 from armctl.simulation.contacts import ContactSensors, add_contact_sensors
 from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.reach.layout_pool import LayoutPool, pool_for
@@ -47,8 +48,6 @@ FARTHEST_BOX = 2.0
 """times the workspace's radius within which all obstacles are."""
 AWAY = (0.0, 0.0, -9.0)
 """m, position of unused boxes."""
-AWAY_HALF_SIZE = 0.1
-"""m, of unused boxes."""
 
 
 def _boxes_ahead(state: "ObstaclesReachState") -> Array:
@@ -190,10 +189,8 @@ class ReachObstaclesTask(ReachTask):
     def _bind_arrays(self) -> None:
         model, simulation = self.simulation.model, self.simulation
         self._bodies = np.array([model.body(_name(i)).id for i in range(MAX_OBSTACLES)])
-        self._geoms = np.array([model.geom(_name(i)).id for i in range(MAX_OBSTACLES)])
-        self._positions, self._quaternions, self._sizes, self._bounds, self._radii = (
-            simulation.per_world(name) for name in ("body_pos", "body_quat", "geom_size", "geom_aabb", "geom_rbound")
-        )
+        self._geoms = BoxGeoms(simulation, np.array([model.geom(_name(i)).id for i in range(MAX_OBSTACLES)]))
+        self._positions, self._quaternions = (simulation.per_world(name) for name in ("body_pos", "body_quat"))
         self._contacts = ContactSensors(simulation, ("arm",), TOUCHED)
         self._contacts_part = self._contacts.part
 
@@ -233,12 +230,11 @@ class ReachObstaclesTask(ReachTask):
         """Put the simulated boxes of worlds `ids` where `_boxes` has them."""
         boxes, worlds = self._boxes[ids], ids[:, None]
         present = (boxes[..., 3:6] > 0).all(axis=-1, keepdims=True)
-        half_sizes, half_yaws = np.where(present, boxes[..., 3:6], AWAY_HALF_SIZE), boxes[..., 6] / 2
+        half_yaws = boxes[..., 6] / 2
         self._positions[worlds, self._bodies] = np.where(present, boxes[..., :3], AWAY)
         self._quaternions[worlds, self._bodies, 0] = np.cos(half_yaws)
         self._quaternions[worlds, self._bodies, 3] = np.sin(half_yaws)
-        self._sizes[worlds, self._geoms] = self._bounds[worlds, self._geoms, 3:] = half_sizes
-        self._radii[worlds, self._geoms] = np.linalg.norm(half_sizes, axis=-1)
+        self._geoms.resize(ids, boxes[..., 3:6])
 
     def _part_bounds(self) -> dict[Term, Bounds]:
         far = FARTHEST_BOX * LENGTH_MARGIN * self._workspace.radius
@@ -283,7 +279,7 @@ def _add_boxes(spec: Any, description: ArmDescription) -> None:
         body.add_geom(
             name=_name(i),
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[AWAY_HALF_SIZE] * 3,
+            size=[ABSENT_HALF_SIZE] * 3,
             contype=0,
             conaffinity=0,
             material="obstacle",

@@ -1,0 +1,63 @@
+"""The score of the BARN challenge (Xiao et al. 2022): success * T / clip(time, 2 T, 8 T), where T is the least time.
+
+    python benchmarks/barn.py [FOLDER] [--policies bridge_ompl,bridge_mpc] [--episodes 300] [--seed 305]
+
+FOLDER has the challenge's static worlds, `worlds/BARN` of github.com/Daffan/the-barn-challenge; without it, fields are
+new ones. T is that of the shortest path with a clearance of 0.36 m at 2 m/s. The challenge drives a Jackal with a lidar
+in Gazebo, to within 1 m of a point, in at most 100 s: its published figures are not from this simulator.
+"""
+
+from contextlib import closing
+
+import numpy as np
+import typer
+from printing import markdown_table, progress, show
+
+import armctl
+from armctl.baselines.bridge_controllers import NARROW_CLEARANCE
+from armctl.envs import make_worlds
+from armctl.planning import PathPlannerOptions, plan_path
+from armctl.robots.rover import MAX_VELOCITY
+from armctl.tasks.bridge import CONTROL_PERIOD
+from armctl.tasks.bridge.world import START_X
+
+ENV = "armctl/BarnCross-v0"
+POLICIES = "bridge_ompl,bridge_mpc,bridge_lidar_ompl,bridge_dwa,bridge_distil,barn_distil"
+WORLDS = 10
+
+
+def main(folder: str | None = None, policies: str = POLICIES, episodes: int = 300, seed: int = 305) -> None:
+    """Play the same fields with each policy, and print a table."""
+    names = policies.split(",")
+    options = {"fields": folder} if folder else {}
+    times = shortest_times(options, episodes, seed)
+    comparison = armctl.compare(names, ENV, episodes=episodes, seed=seed, worlds=WORLDS, env_options=options)
+    summaries = {summary.policy: summary for summary in comparison.policies}
+    table = markdown_table("policy", "sees", "success", "collided", "time, s: median", "score")
+    table.title = f"{ENV}, {episodes} episodes of seed {seed}, the challenge's worlds: {'yes' if folder else 'no'}"
+    for name, group in comparison.episodes.groupby("policy", sort=False):
+        time = CONTROL_PERIOD * group.length.to_numpy()
+        fastest = times[group.episode.to_numpy()]
+        score = group.success.to_numpy() * fastest / np.clip(time, 2 * fastest, 8 * fastest)
+        success = summaries[name].success
+        table.add_row(
+            f"`{name}`", summaries[name].sees, f"{success.value:.1%} [{success.low:.1%} to {success.high:.1%}]",
+            f"{(group.outcome == 'collided').mean():.1%}", f"{np.median(time[group.success]):.1f}",
+            f"{score.mean():.3f}",
+        )  # fmt: skip
+    show(table)
+
+
+def shortest_times(options: dict[str, str], episodes: int, seed: int) -> np.ndarray:
+    """Return the time (episodes,) s of the shortest path at full speed."""
+    choice, times = PathPlannerOptions(clearance=NARROW_CLEARANCE), []
+    with closing(make_worlds(ENV, 1, {**options, "observation": "state"})) as env:
+        for episode in progress(range(episodes), "shortest paths"):
+            env.reset(seed=seed, options={"episode": episode})
+            plan = plan_path(env.task.map(0), (START_X, 0.0), env.task.goal_x, choice)
+            times.append(plan.length / MAX_VELOCITY[0])
+    return np.array(times)
+
+
+if __name__ == "__main__":
+    typer.run(main)
