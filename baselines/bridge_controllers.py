@@ -79,8 +79,8 @@ class PathFollower(Protocol):
 def path_from(bridge: BridgeMap, position: Array, goal_x: float, margin: float = 0.0) -> Array:
     """Return corners (m, 2) m of a path to the goal line; (0, 2) if there is none, as off the free deck.
 
-    It keeps `margin` (m) more from obstacles than usual if there is such a path near, and `NARROW_CLEARANCE` if there is
-    no usual one.
+    It keeps `margin` (m) more from obstacles than usual if there is such a path near, and `NARROW_CLEARANCE` if no
+    usual one exists.
     """
     on_deck = bridge.clearance(position[None])[0] > 0 and position[0] < goal_x
     options = PathPlannerOptions()
