@@ -230,6 +230,36 @@ def test_a_suite_stops_where_its_own_verdict_is_decided(stopped_suite):
 
 
 @pytest.mark.slow
+def test_who_represents_no_kind_stops_earlier_and_all_count(stopped_suite, tmp_path, monkeypatch):
+    found, folder = stopped_suite
+    counts = {
+        name: {policy: len(table) for policy, table in cell.results.by_policy().items()}
+        for name, cell in found.cells.items()
+    }
+    plain, delayed = counts.values()
+    assert plain["reach_ik"] == plain["reach_ppo"] == 60
+    assert 30 <= plain["random"] < 60  # until the choice is made
+    assert delayed["reach_ik"] == delayed["reach_ppo"] > delayed["random"] == 20
+    text = " ".join(text_of(found.cells["ArmReach-v0/none"]).split())
+    assert "Stopped earlier, as they represent no kind: random." in text
+    assert "cut short" not in text
+    monkeypatch.setattr("armctl.study.suite_plan.line_up", lambda env, one_of_each: ("random", "reach_ik", "reach_ppo"))
+    monkeypatch.setattr("armctl.study.suite_plan.main_disturbances", lambda env, size: {"delay": [0, 20]})
+    played = []
+
+    def interrupt(*result):
+        played.append(result)
+        if len(played) == 105:  # in the undisturbed cell, after the choice
+            raise KeyboardInterrupt
+
+    options = {"episodes": 60, "until": "decided", "worlds": 10, "out": tmp_path}
+    assert suite(["armctl/ArmReach-v0"], progress=interrupt, **options).interrupted
+    resumed = suite(["armctl/ArmReach-v0"], **options)
+    assert [str(one.verdict) for one in resumed.verdicts] == [str(one.verdict) for one in found.verdicts]
+    assert timeless(tmp_path).equals(timeless(folder))
+
+
+@pytest.mark.slow
 def test_a_task_with_one_kind_alone_has_nothing_to_decide(monkeypatch, tmp_path):
     monkeypatch.setattr("armctl.study.suite_plan.line_up", lambda env, one_of_each: ("reach_ik", "reach_rate"))
     monkeypatch.setattr("armctl.study.suite_plan.main_disturbances", lambda env, size: {"delay": [0, 8]})

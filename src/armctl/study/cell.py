@@ -124,10 +124,9 @@ class _Line:
         about = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.policies, self.env, real_time)
         return {**about, POLICY_SEED: str(self.policy_seed)}
 
-    def play(
-        self, kept: EpisodeTable, lower_bound_steps: dict[int, float], ends: Sequence[int]
-    ) -> Iterator[RolloutBatch | int]:
+    def play(self, kept: EpisodeTable, task: Task, ends: Sequence[int]) -> Iterator[RolloutBatch | int]:
         """Play the episodes that are not among those that were `kept`, in blocks; yield the end of each after it."""
+        lower_bound_steps = task.lower_bound_steps
         finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
         lower_bound_steps.update(zip(*lengths, strict=True))
@@ -136,6 +135,8 @@ class _Line:
         for end in ends:
             numbers = np.arange(start, end)
             waiting = {name: np.setdiff1d(numbers, finished.get(name, [])).tolist() for name in names}
+            if self.plan.until_decided:
+                waiting = {name: [k for k in waiting[name] if task.needs(name, k)] for name in names}
             with closing(play_block(waiting, playing)) as batches:
                 for batch in batches:
                     yield batch
@@ -251,10 +252,11 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
             so_far = concluded(writer.identity, cell.env_options, facts, results, writer.runs)
             return task.is_decided(cell, so_far, plan.num_verdicts_with(cell))
 
-        _play(line, writer, task.lower_bound_steps, meter, events, session, decided)
+        _play(line, writer, task, meter, events, session, decided)
         results = _results(writer, line, events)
         events.note_crashes(results)
-        judged = min(map(len, results.by_policy().values()), default=0)
+        counts = {name: len(episodes) for name, episodes in results.by_policy().items()}
+        judged = min((count for name, count in counts.items() if task.needs(name, count)), default=0)
         runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
         facts = line.facts(events, notes, len(writer.kept))
         facts = replace(facts, paired=task.seeding is None or task.seeding.obeyed)
@@ -312,7 +314,7 @@ def _notes(line: _Line, task: Task) -> list[str]:
 def _play(
     line: _Line,
     writer: CellWriter,
-    lower_bound_steps: dict[int, float],
+    task: Task,
     meter: RunMeter,
     events: Events,
     session: Session,
@@ -321,9 +323,12 @@ def _play(
     """Write episodes until all are played or it is decided, the workers are lost, or somebody interrupts."""
     in_workers = dict[str, float]()
     judged = [run.judged for run in writer.runs if run.judged]
-    ends = line.plan.block_ends(int(writer.kept.column("episode").max(initial=-1)) + 1, judged)
+    kept = int(writer.kept.column("episode").max(initial=-1)) + 1
+    ends = line.plan.block_ends(kept, judged)
+    if kept and line.plan.kind == SUITE:
+        decided(kept)  # who represents a kind, and plays on
     try:
-        with closing(line.play(writer.kept, lower_bound_steps, ends)) as stream:  # type: ignore[type-var]
+        with closing(line.play(writer.kept, task, ends)) as stream:  # type: ignore[type-var]
             for batch in stream:
                 if isinstance(batch, int):
                     if batch < line.plan.episodes and decided(batch):

@@ -154,11 +154,25 @@ class Comparison(Displayed):
             parts.append(Remark(f"{self.resumed} episodes were finished by an earlier run."))
         if self.interrupted:
             parts.append(Remark("Interrupted.", "note"))
-        for policy in self.policies:
-            if policy.episodes < policy.planned - policy.infeasible and not self.facts.sources:
-                counts = f"the first {policy.episodes} of {policy.planned} episodes"
-                parts.append(Remark(f"{policy.policy} was cut short: its figures are over {counts}.", "note"))
+        parts += self._incomplete()
         return Document(parts, {"env": self.env, "env_options": self.facts.env_options, "seed": self.seed})
+
+    def _incomplete(self) -> list[Remark]:
+        """Return a remark on each policy with fewer episodes than others, and on those that were needed no longer."""
+        planned = [] if self.facts.sources else self.policies
+        fewer = [policy for policy in planned if policy.episodes < policy.planned - policy.infeasible]
+        needless = []
+        if self.facts.at_most is not None and not self.interrupted:
+            needless = [policy.policy for policy in fewer if policy.policy not in self.failures]
+        remarks = [
+            f"{policy.policy} was cut short: its figures are over the first {policy.episodes} of {policy.planned} "
+            "episodes."
+            for policy in fewer
+            if policy.policy not in needless
+        ]
+        if needless:
+            remarks.append(f"Stopped earlier, as they represent no kind: {', '.join(needless)}.")
+        return [Remark(remark, "note") for remark in remarks]
 
     def __repr__(self) -> str:
         names = ", ".join(policy.policy for policy in self.policies) or "no policy"

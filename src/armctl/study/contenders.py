@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from armctl.core.kinds import KINDS, Kind
 from armctl.episodes.stored import UNDISTURBED
-from armctl.stats.across_tasks import Choice, choose, pairwise_by_task
+from armctl.stats.across_tasks import SELECTING, Choice, choose, pairwise_by_task
 from armctl.stats.difference import MARGIN
 from armctl.stats.intervals import FEWEST
 from armctl.study.comparison import Comparison
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 Contenders = Mapping[Kind, Choice]
 """The choice that represents each kind that has played."""
+OTHERS_EPISODES = 20
+"""Episodes of a policy that represents no kind, where a setting stops when it is decided between those that do."""
 
 
 @dataclass
@@ -39,10 +41,18 @@ class Task:
 
         Of one kind alone there is no verdict, and nothing to wait for.
         """
-        undisturbed = cell.setting == UNDISTURBED
-        choices = contenders(so_far, any_number=True) if undisturbed else self.contenders
+        choices = self.contenders
+        if cell.setting == UNDISTURBED:
+            choices = contenders(so_far, any_number=True)
+            if so_far.episodes.episode.nunique() >= SELECTING:
+                self.contenders = choices
         pairs = list(itertools.combinations(choices.values(), 2))
         return bool(choices) and all(is_task_decided(so_far, *pair, num_verdicts * len(pairs)) for pair in pairs)
+
+    def needs(self, policy: str, episode: int) -> bool:
+        """Return True if an episode of a policy is needed: after the choice, few are of who represents no kind."""
+        chosen = {choice.policy for choice in self.contenders.values()}
+        return not chosen or policy in chosen or episode < OTHERS_EPISODES
 
 
 def contenders(undisturbed: Comparison, any_number: bool) -> Contenders:
