@@ -36,6 +36,10 @@ LIFT_SPEED = 0.4
 """m/s of the tool in free space."""
 TRUST = 0.3
 """Weight of a reading of the object's place, beside what its velocity predicts."""
+DRAW_BACK_SPEED = 0.1
+"""m/s away from an object that has arrived."""
+LOW = push_table.TOOL_HEIGHT + 0.02
+"""m: height of the tool below which one without memory pushes."""
 LONGEST_MEAN = 20
 """Readings over which the mean offset of the tool from the arm's model is taken: it changes with the configuration."""
 
@@ -54,6 +58,8 @@ class PushLineOptions:
     """m from the line at which a push is given up."""
     enough: Annotated[float, Field(gt=0, lt=1)] = 0.4
     """Share of the tolerance within which the tool stops."""
+    memory: bool = True
+    """If False, actions are functions of the observation, which a network without a memory can learn."""
 
 
 class Phase(Enum):
@@ -80,7 +86,8 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
         )
     chosen = changed_options(PushLineOptions(), options, "option of push_line")
     tool = VerticalTool(ArmModel(env.robot), push_table.TOOL_LENGTH)
-    return PerWorld([PushLine(tool, env.options.tolerance, chosen) for _ in range(env.num_envs)])
+    kind = PushLine if chosen.memory else MemorylessPushLine
+    return PerWorld([kind(tool, env.options.tolerance, chosen) for _ in range(env.num_envs)])
 
 
 class PushLine:
@@ -115,7 +122,7 @@ class PushLine:
         believed = self._tool.point(self._stream.position) + self._offset
         self._move(*self._aim(believed, self._place[:2], to_target / max(distance, 1e-9), distance))
         q = self._tool.configuration(self._at - self._offset, self._q)
-        velocity, self._q = (q - self._q) / CONTROL_PERIOD, q
+        velocity, self._q = self._velocity(q), q
         return np.asarray(self._stream.goal_through(q, velocity))
 
     def _aim(self, tool: Array, place: Array, way: Array, distance: float) -> tuple[Array, float]:
@@ -148,3 +155,41 @@ class PushLine:
         """Move the tool's next place towards a point at a speed."""
         step = point - self._at
         self._at = self._at + step * min(1.0, speed * CONTROL_PERIOD / max(float(np.linalg.norm(step)), 1e-9))
+
+    def _velocity(self, q: Array) -> Array:
+        """Return the velocity (dof,) of the way to `q` (dof,), rad/s."""
+        return (q - self._q) / CONTROL_PERIOD
+
+
+class MemorylessPushLine(PushLine):
+    """Pushes with one arm by the present observation alone: places decide the phase.
+
+    It draws the tool back from an object that is near enough to its target: one that still touches it may not rest.
+    """
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Return joint positions (dof,) to move to, for an observation: tool, joints, target, and the object."""
+        self.reset()
+        return super().act(observation)
+
+    def _aim(self, tool: Array, place: Array, way: Array, distance: float) -> tuple[Array, float]:
+        behind = place - push_table.STAND_OFF * way
+        if tool[2] > push_table.LIFTED_HEIGHT - NEAR:
+            self._phase = Phase.OVER
+        elif tool[2] < LOW:
+            self._phase = Phase.PUSH
+        else:
+            self._phase = Phase.DOWN if math.hypot(*(tool[:2] - behind)) < 2 * NEAR else Phase.UP
+        if self._phase is Phase.PUSH and distance < self._close:
+            return np.append(behind, push_table.TOOL_HEIGHT), DRAW_BACK_SPEED
+        return super()._aim(tool, place, way, distance)
+
+    def _move(self, point: Array, speed: float) -> None:
+        super()._move(point, speed)
+        if self._tool.configuration(self._at - self._offset, self._q) is self._q:  # beside what the arm reaches
+            self._at = point
+
+    def _velocity(self, q: Array) -> Array:
+        velocity = super()._velocity(q)
+        is_fast = (np.abs(velocity) > self._tool.model.limits.velocity).any()
+        return np.zeros_like(velocity) if is_fast else velocity  # it is to stop in a posture that is far away

@@ -19,7 +19,7 @@ from armctl.robot_description import ArmDescription
 from armctl.robots.arm import build_arm_world
 from armctl.scene import Boxes, push_table
 from armctl.simulation.contacts import ContactSensors
-from armctl.tasks.learner_view import LearnerView
+from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.push.options import PushOptions
 from armctl.tasks.push.potentials import PushDistance
 from armctl.tasks.push.state import PUSH_FEATURES, PUSH_OBSERVATION, PushState
@@ -35,6 +35,8 @@ UPRIGHT = 0.8
 """Cosine of the tilt beyond which an object falls on another side."""
 SHORTEST, LONGEST = 0.1, 0.4
 """m between an object and its target."""
+LARGEST_MOVE = 0.1
+"""rad: largest move of a joint in an action of a learner; at the speed of a push, joints move by 0.02 rad a step."""
 ATTEMPTS = 200
 OBJECT_LOW, OBJECT_HIGH = np.array((-1.0, -1.5, -0.1)), np.array((2.0, 1.5, 1.0))
 """m: box to which the observed place of an object is clipped that has been hit hard."""
@@ -62,7 +64,7 @@ class PushTask(ReachTask):
         "object_velocity": "m/s, m/s, rad/s",
     }  # fmt: skip
     instruction = "Push the object to the target."
-    default_policies = ("push_line", "random")
+    default_policies = ("push_line", "push_bc", "random")
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         "distance": ReachTask.potentials["distance"],
         "push": PushDistance,
@@ -75,11 +77,12 @@ class PushTask(ReachTask):
 
     @property
     def learner_view(self) -> LearnerView:
-        """The bare observation; actions may be relative to joint positions, where these are observed."""
-        parts, dof = list(self.options.parts), self.arm.description.dof
-        if parts[:2] != list(PUSH_OBSERVATION)[:2] or self.arm.control != "position":
+        """Features of the observation `paper`, and actions relative to its joint positions."""
+        dof = self.arm.description.dof
+        if list(self.options.parts) != list(PUSH_OBSERVATION) or self.arm.control != "position":
             return LearnerView()
-        return LearnerView(relative_to=slice(3, 3 + dof), largest_move=0.5)
+        features = FeatureSpec("push", {"dof": dof}) if self._workspace.model.base_yaw_is_vertical else None
+        return LearnerView(relative_to=slice(3, 3 + dof), largest_move=LARGEST_MOVE, features=features)
 
     def outcome(self) -> NDArray[np.int8]:
         """Return `FELL` or `PLACED`; `TIMEOUT` while the episode goes on."""
