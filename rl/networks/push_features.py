@@ -45,7 +45,9 @@ class PushFeatures(BaseFeaturesExtractor):
         fine = (decisive / FINE).tanh()
         finest = torch.cat((height, distance, apart), dim=1) / NEARBY
         axis = rotated(torch.cat((axis, torch.zeros_like(yaw)), dim=1), -yaw)[:, :2]
-        turn = torch.stack((axis[:, 0] ** 2 - axis[:, 1] ** 2, 2 * axis[:, 0] * axis[:, 1]), dim=1)  # half turns are alike
+        turn = torch.stack(
+            (axis[:, 0] ** 2 - axis[:, 1] ** 2, 2 * axis[:, 0] * axis[:, 1]), dim=1
+        )  # half turns are alike
         moving = self.speed_scale * torch.cat((velocity[:, :2], torch.zeros_like(yaw)), dim=1)
         moving = torch.cat((rotated(moving, -yaw)[:, :2], velocity[:, 2:] * self.speed_scale[2]), dim=1)
         posture = joints[:, 1:]

@@ -43,8 +43,7 @@ def learner(
                 _check_no_rewards(recipe)
             if recipe.curriculum and not curriculum:
                 raise ConfigurationError(
-                    f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil, distilled_ppo and "
-                    "finetuned_ppo do"
+                    f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil, distilled_ppo and finetuned_ppo do"
                 )
             if recipe.filter is not False and not explores:
                 raise ConfigurationError(
