@@ -2,7 +2,7 @@
 
 While it pushes, it steers the tool back onto that line, which begins at the object and is new at each control step. If
 the object has drifted off the tool, it lifts the tool and begins again. The tool always points down. Readings are
-averaged (`armctl.control.tool_motion`).
+averaged; the tool is believed to be where it is commanded to, with their mean offset from the arm's model.
 """
 
 import math
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.control.tool_motion import ToolMotion
+from armctl.control.streaming import CommandStream
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, changed_options, options
@@ -36,6 +36,12 @@ LIFT_SPEED = 0.4
 """m/s of the tool in free space."""
 TRUST = 0.3
 """Weight of a reading of the object's place, beside what its velocity predicts."""
+DRAW_BACK_SPEED = 0.1
+"""m/s away from an object that has arrived."""
+LOW = push_table.TOOL_HEIGHT + 0.02
+"""m: height of the tool below which one without memory pushes."""
+LONGEST_MEAN = 20
+"""Readings over which the mean offset of the tool from the arm's model is taken: it changes with the configuration."""
 
 
 @options
@@ -52,6 +58,8 @@ class PushLineOptions:
     """m from the line at which a push is given up."""
     enough: Annotated[float, Field(gt=0, lt=1)] = 0.4
     """Share of the tolerance within which the tool stops."""
+    memory: bool = True
+    """If False, actions are functions of the observation, which a network without a memory can learn."""
 
 
 class Phase(Enum):
@@ -78,7 +86,8 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
         )
     chosen = changed_options(PushLineOptions(), options, "option of push_line")
     tool = VerticalTool(ArmModel(env.robot), push_table.TOOL_LENGTH)
-    return PerWorld([PushLine(tool, env.options.tolerance, chosen) for _ in range(env.num_envs)])
+    kind = PushLine if chosen.memory else MemorylessPushLine
+    return PerWorld([kind(tool, env.options.tolerance, chosen) for _ in range(env.num_envs)])
 
 
 class PushLine:
@@ -91,7 +100,7 @@ class PushLine:
     def reset(self) -> None:
         """Begin with an approach, and forget all readings."""
         self._phase = Phase.OVER
-        self._motion: ToolMotion | None = None
+        self._stream: CommandStream | None = None
         self._readings, self._target = 0, np.zeros(3)
 
     def act(self, observation: NDArray[np.float32]) -> Array:
@@ -100,29 +109,31 @@ class PushLine:
         tool, q, target, place, _, moving = np.split(
             observation[: 14 + dof].astype(float), np.cumsum((3, dof, 3, 3, 2))
         )
-        if self._motion is None:
-            self._motion, self._place = ToolMotion(self._tool, CONTROL_PERIOD, q, tool), place
-        motion = self._motion
-        believed = motion.read(q, tool)
+        if self._stream is None:
+            self._stream = CommandStream(self._tool.model.limits, CONTROL_PERIOD, q)
+            self._at, self._q, self._place, self._offset = tool, q, place, tool - self._tool.point(q)
         self._readings += 1
         self._target += (target - self._target) / self._readings
         self._place = self._place + CONTROL_PERIOD * np.append(moving[:2], 0.0)
         self._place += TRUST * (place - self._place)
+        self._offset += (tool - self._tool.point(q) - self._offset) / min(self._readings, LONGEST_MEAN)
         to_target = self._target[:2] - self._place[:2]
         distance = math.hypot(*to_target)
-        motion.move(*self._aim(motion.at, believed, to_target / max(distance, 1e-9), distance))
-        return motion.goal()
+        believed = self._tool.point(self._stream.position) + self._offset
+        self._move(*self._aim(believed, self._place[:2], to_target / max(distance, 1e-9), distance))
+        q = self._tool.configuration(self._at - self._offset, self._q)
+        velocity, self._q = self._velocity(q), q
+        return np.asarray(self._stream.goal_through(q, velocity))
 
-    def _aim(self, at: Array, tool: Array, way: Array, distance: float) -> tuple[Array, float]:
-        """Return where the tool, commanded `at` a point, is to go (3,) m, and its speed, m/s."""
-        place = self._place[:2]
+    def _aim(self, tool: Array, place: Array, way: Array, distance: float) -> tuple[Array, float]:
+        """Return where the tool is to go (3,) m, and its speed, m/s."""
         behind = place - push_table.STAND_OFF * way
         along, across = (tool[:2] - place) @ way, (tool[:2] - place) @ np.array((-way[1], way[0]))
         if self._phase is Phase.PUSH and (along > 0 or abs(across) > self._options.drift):
             self._phase = Phase.UP
         if self._phase is Phase.UP:
             if tool[2] < push_table.LIFTED_HEIGHT - NEAR:
-                return np.append(at[:2], push_table.LIFTED_HEIGHT), LIFT_SPEED
+                return np.append(self._at[:2], push_table.LIFTED_HEIGHT), LIFT_SPEED
             self._phase = Phase.OVER
         if self._phase is Phase.OVER:
             over = np.append(behind, push_table.LIFTED_HEIGHT)
@@ -135,7 +146,50 @@ class PushLine:
                 return down, LIFT_SPEED
             self._phase = Phase.PUSH
         if distance < self._close:
-            return at, LIFT_SPEED
+            return self._at, LIFT_SPEED
         speed = min(self._options.speed, max(SLOWEST, self._options.slowing * distance))
         move = speed * way - self._options.steering * across * np.array((-way[1], way[0]))
-        return np.append(at[:2] + move * CONTROL_PERIOD, push_table.TOOL_HEIGHT), LIFT_SPEED
+        return np.append(self._at[:2] + move * CONTROL_PERIOD, push_table.TOOL_HEIGHT), LIFT_SPEED
+
+    def _move(self, point: Array, speed: float) -> None:
+        """Move the tool's next place towards a point at a speed."""
+        step = point - self._at
+        self._at = self._at + step * min(1.0, speed * CONTROL_PERIOD / max(float(np.linalg.norm(step)), 1e-9))
+
+    def _velocity(self, q: Array) -> Array:
+        """Return the velocity (dof,) of the way to `q` (dof,), rad/s."""
+        return (q - self._q) / CONTROL_PERIOD
+
+
+class MemorylessPushLine(PushLine):
+    """Pushes with one arm by the present observation alone: places decide the phase.
+
+    It draws the tool back from an object that is near enough to its target: one that still touches it may not rest.
+    """
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Return joint positions (dof,) to move to, for an observation: tool, joints, target, and the object."""
+        self.reset()
+        return super().act(observation)
+
+    def _aim(self, tool: Array, place: Array, way: Array, distance: float) -> tuple[Array, float]:
+        behind = place - push_table.STAND_OFF * way
+        if tool[2] > push_table.LIFTED_HEIGHT - NEAR:
+            self._phase = Phase.OVER
+        elif tool[2] < LOW:
+            self._phase = Phase.PUSH
+        else:
+            self._phase = Phase.DOWN if math.hypot(*(tool[:2] - behind)) < 2 * NEAR else Phase.UP
+        if self._phase is Phase.PUSH and distance < self._close:
+            return np.append(behind, push_table.TOOL_HEIGHT), DRAW_BACK_SPEED
+        return super()._aim(tool, place, way, distance)
+
+    def _move(self, point: Array, speed: float) -> None:
+        super()._move(point, speed)
+        if self._tool.configuration(self._at - self._offset, self._q) is self._q:  # beside what the arm reaches
+            self._at = point
+
+    def _velocity(self, q: Array) -> Array:
+        velocity = super()._velocity(q)
+        is_fast = (np.abs(velocity) > self._tool.model.limits.velocity).any()
+        return np.zeros_like(velocity) if is_fast else velocity  # it is to stop in a posture that is far away

@@ -25,7 +25,10 @@ def test_it_leads_to_every_page_and_notebook():
 
 
 def test_it_counts_what_there_is():
-    numbers = {6: "six", 9: "nine", 17: "seventeen", 20: "twenty"}
+    numbers = {
+        6: "six", 8: "eight", 9: "nine", 16: "sixteen", 17: "seventeen", 20: "twenty", 21: "twenty-one",
+        22: "twenty-two",
+    }  # fmt: skip
     agents = agent_cards()
     experts = [policy for policy in listed_policies() if policy.kind == "expert"]
     envs = [name for name in environment_names() if name.startswith("armctl/")]  # other tests add some

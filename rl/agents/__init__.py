@@ -47,6 +47,7 @@ obstacles_plan_bc = _agent(
     "Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are.",
     "model",
 )
+push_bc = _agent("push_bc", "Behaviour cloning on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 bridge_state_ppo = _agent(
     "bridge_state_ppo", "PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state.", "state"
 )

@@ -21,12 +21,13 @@ class BcOptions(CloningOptions):
     """Minari dataset to learn from, instead of the teacher: a folder (see `armctl collect`), or an id."""
 
 
-def _check(recipe: Recipe, options: BcOptions) -> None:
+def check_dataset(recipe: Recipe, options: BcOptions) -> None:
+    """Raise `ConfigurationError` for options of a teacher's episodes where there is a dataset."""
     if recipe.training_options and options.dataset is not None:
         raise ConfigurationError("a dataset shows what it shows: training_options are for a teacher's episodes")
 
 
-@learner(BcOptions, rewards=False, curriculum=False, explores=False, check=_check)
+@learner(BcOptions, rewards=False, curriculum=False, explores=False, check=check_dataset)
 def train(training: Training, options: BcOptions) -> AgentCard:
     """Fit an actor to the demonstrations."""
     examples = examples_for(training, options)

@@ -85,7 +85,7 @@ def fit(
     learning_rate: float,
     start: int = 0,
 ) -> Iterator[int]:
-    """Fit the actor's network by least squares, in the network's unit of actions.
+    """Fit the actor's network by its loss.
 
     Yields the number of each gradient step, from `start` + 1 to `steps`. The learning rate decays linearly.
     """
@@ -95,8 +95,7 @@ def fit(
         for group in optimizer.param_groups:
             group["lr"] = learning_rate * max(1 - step / steps, LAST_RATE)
         observations, actions = map(tensors, examples.draw(rng, batch_size))
-        labels = actor.scale.inverse(observations, actions)
-        loss = (actor.network(observations) - labels).square().mean()
+        loss = actor.loss(observations, actions)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -31,10 +31,10 @@ from armctl.policies import Policy, make_policy
 from armctl.rl.algorithms.cloning import LAST_RATE
 from armctl.rl.data.demonstrations import teacher_in
 from armctl.rl.networks.actor import Actor, tensors
-from armctl.rl.networks.commanding import CommandingNetwork, Unscaled, layout_of
+from armctl.rl.networks.commanding import CommandingNetwork, layout_of
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.recurrent import RecurrentNetwork, copy_weights
-from armctl.rl.networks.view import Features
+from armctl.rl.networks.view import Features, Unscaled
 from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.learner import learner
 from armctl.rl.run.meter import Metered

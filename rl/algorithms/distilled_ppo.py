@@ -25,7 +25,6 @@ from armctl.rl.networks.view import View
 from armctl.rl.run.learner import learner
 from armctl.rl.run.training import Training
 from armctl.rl.run.vector import EncodedVectorEnv, StableBaselinesVectorEnv
-from armctl.training.learners import Recipe
 
 
 @options
@@ -43,7 +42,7 @@ def train(training: Training, options: DistilledPpoOptions) -> AgentCard:
     """Improve by PPO what an agent makes of its memory."""
     if options.frames > 1:
         raise ConfigurationError("distilled_ppo starts from an agent that remembers: leave the option frames out")
-    sizes, weights = network_of(training.recipe, training)
+    sizes, weights = network_of(training)
 
     def make_vec_env() -> StableBaselinesVectorEnv:
         envs, view = training.envs, training.view
@@ -59,29 +58,33 @@ def train(training: Training, options: DistilledPpoOptions) -> AgentCard:
     return improve(training, options, make_vec_env, start)
 
 
-def network_of(recipe: Recipe, training: Training) -> tuple[dict[str, int], dict[str, torch.Tensor]]:
-    """Return the sizes and weights of the teacher's network, by name.
+def network_of(training: Training) -> tuple[dict[str, int], dict[str, torch.Tensor]]:
+    """Return the sizes and weights of the network of the agent to start from; raises what `start_of` raises."""
+    card, weights = start_of(training, "distilled_ppo", memory=[MEMORY])
+    sizes = {"hidden_units": training.options.hidden_units, "layers": training.options.layers}
+    (memory_units,), actions = card.memory[MEMORY], card.action_shape[0]
+    return {**sizes, "memory_units": memory_units, "actions": actions}, weights
 
-    Raises `ConfigurationError` if the recipe's teacher is no agent with a memory, or has a network of other sizes.
+
+def start_of(training: Training, learner: str, memory: list[str]) -> tuple[AgentCard, dict[str, torch.Tensor]]:
+    """Return the card and the weights, by name, of the recipe's teacher, from which a learner starts.
+
+    Raises `ConfigurationError` if it is no agent with this memory, or has a network of other sizes than the options.
     """
-    if recipe.teacher is None:
-        raise ConfigurationError("distilled_ppo starts from an agent: name it, --teacher AGENT")
-    teacher = make_policy(recipe.teacher, training.held_out)
-    if not isinstance(teacher, OnnxPolicy) or list(teacher.card.memory) != [MEMORY]:
-        raise ConfigurationError(
-            f"distilled_ppo starts from an agent that remembers, as distil trains it, and {recipe.teacher} is none"
-        )
-    for name in ("hidden_units", "layers", "features", "relative"):
-        of_teacher, requested = teacher.card.learner_options.get(name), getattr(training.options, name)
+    name = training.recipe.teacher
+    if name is None:
+        raise ConfigurationError(f"{learner} starts from an agent: name it, --teacher AGENT")
+    teacher = make_policy(name, training.held_out)
+    if not isinstance(teacher, OnnxPolicy) or list(teacher.card.memory) != memory:
+        kind = "that remembers, as distil trains it" if memory else "without a memory, as bc trains it"
+        raise ConfigurationError(f"{learner} starts from an agent {kind}, and {name} is none")
+    for option in ("hidden_units", "layers", "features", "relative"):
+        of_teacher, requested = teacher.card.learner_options.get(option), getattr(training.options, option)
         if of_teacher != requested:
             raise ConfigurationError(
-                f"{recipe.teacher} was trained with {name} {of_teacher!r}: set that option, not {requested!r}"
+                f"{name} was trained with {option} {of_teacher!r}: set that option, not {requested!r}"
             )
-    card, options = teacher.card, training.options
-    (memory_units,), actions = card.memory[MEMORY], card.action_shape[0]
-    sizes = {"hidden_units": options.hidden_units, "layers": options.layers}
-    weights = {name: torch.tensor(numbers) for name, numbers in teacher.numbers.items()}
-    return {**sizes, "memory_units": memory_units, "actions": actions}, weights
+    return teacher.card, {key: torch.tensor(numbers) for key, numbers in teacher.numbers.items()}
 
 
 class FrozenRecurrentEncoder(Encoder):

@@ -71,6 +71,10 @@ class Examples:
         parts = [episode.observations for episode in self.episodes]
         self._observations = map_arrays(lambda *arrays: np.concatenate(arrays), *parts)
 
+    def actions_of(self, samples: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return the actions (size, k) at these samples."""
+        return self._actions[samples]
+
     @functools.cached_property
     def _slices(self) -> dict[str, slice]:
         """Places of the observation's parts."""
@@ -86,7 +90,7 @@ class Examples:
         that time.
         """
         samples = rng.integers(len(self._rows), size=size)
-        rows, actions = self._rows[samples], self._actions[samples]
+        rows, actions = self._rows[samples], self.actions_of(samples)
         observations = map_arrays(lambda values: values[rows], self._observations)
         if self.hindsight and not isinstance(observations, dict):
             other = rng.random(size) < self.hindsight
@@ -105,6 +109,7 @@ def examples_for(training: Training, options: CloningOptions) -> Examples:
     task = training.held_out.task
     at_rest = isinstance(task, ReachTask) and not isinstance(task, ReachMovingTask)
     positions = at_rest and task.interface["control"] == "position"
+    positions = positions and "end_effector_position" in task.observation_parts()
     return Examples(task, options.hindsight if positions else 0.0)
 
 

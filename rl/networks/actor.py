@@ -50,6 +50,10 @@ class Actor(torch.nn.Module):
         actions, *next_memory = self.network(observation, *arrays[len(self.inputs) :])
         return self.scale(observation, actions), *next_memory
 
+    def loss(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """Return the mean squared error for environment actions (n, ...), in the network's unit."""
+        return (self.network(observations) - self.scale.inverse(observations, actions)).square().mean()
+
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Forget what it remembers of worlds `ids`, if it has a memory."""
         for remembered in self._remembered:

@@ -161,18 +161,6 @@ class CommandingNetwork(RecurrentNetwork):
         return [((readings > 1) & (variance < PRECISION**2)).float(), mean, readings, spread]
 
 
-class Unscaled(torch.nn.Module):
-    """The network's actions are the environment's, as they are."""
-
-    def forward(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
-        """Return environment actions (n, k)."""
-        return actions
-
-    def inverse(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
-        """Return the network's actions (n, k)."""
-        return actions
-
-
 class _BesideLag(BaseFeaturesExtractor):
     """Features of all but the last numbers, and these."""
 

@@ -17,6 +17,7 @@ from armctl.rl.networks.bridge_ranges import ColumnRanges, FloorRanges, HeldNear
 from armctl.rl.networks.bridge_scans import Surroundings
 from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, rotated
 from armctl.rl.networks.link_box_features import LinkBoxFeatures
+from armctl.rl.networks.push_features import PushFeatures
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
@@ -116,6 +117,7 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "reach": ReachFeatures,
     "base_yaw_invariant": BaseYawInvariantFeatures,
     "links_among_boxes": LinkBoxFeatures,
+    "push": PushFeatures,
     "nearness": NearnessFeatures,
     "held_nearness": HeldNearnessFeatures,
     "surroundings": Surroundings,

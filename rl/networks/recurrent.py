@@ -23,12 +23,13 @@ FEATURES = re.compile(r"encoder\.0\.(features\.)?")
 
 
 def copy_weights(network: torch.nn.Module, weights: Mapping[str, torch.Tensor]) -> None:
-    """Copy the weights of an agent that distil has trained to a network of the same sizes.
+    """Copy the weights of an agent that armctl has trained to a network of the same sizes.
 
-    Those of a network without memory, of layers of the same sizes, are copied too: what is seen or remembered besides
-    has no effect then. Raises `ConfigurationError` if there are none for a parameter, or of another shape.
+    A network with a memory takes those of one without, of layers of the same sizes, too: what is seen or remembered
+    besides has no effect then. Raises `ConfigurationError` if there are none for a parameter, or of another shape.
     """
-    names = _memoryless_names(network) if f"network.{UNIT}" not in weights else {}
+    has_unit = isinstance(network, RecurrentNetwork)
+    names = _memoryless_names(network) if has_unit and f"network.{UNIT}" not in weights else {}
     for name, parameter in network.named_parameters():
         if names and name.startswith("unit."):
             continue

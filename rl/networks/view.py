@@ -135,3 +135,15 @@ class ActionScale(torch.nn.Module):
         """Return the network's actions (n, k), clamped to [-1, 1], for actions of the environment."""
         scaled = actions if self.relative_to is None else actions - observations[:, self.relative_to]
         return ((scaled - self.middle) / self.span).clamp(-1, 1)
+
+
+class Unscaled(torch.nn.Module):
+    """The network's actions are the environment's, as they are."""
+
+    def forward(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """Return environment actions (n, k)."""
+        return actions
+
+    def inverse(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """Return the network's actions (n, k)."""
+        return actions

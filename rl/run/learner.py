@@ -43,12 +43,12 @@ def learner(
                 _check_no_rewards(recipe)
             if recipe.curriculum and not curriculum:
                 raise ConfigurationError(
-                    f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil and distilled_ppo do"
+                    f"{recipe.learner} takes no curriculum: ppo, cloned_ppo, distil, distilled_ppo and finetuned_ppo do"
                 )
             if recipe.filter is not False and not explores:
                 raise ConfigurationError(
                     f"{recipe.learner} does not explore in the training's worlds, and takes no filter: ppo, "
-                    "cloned_ppo, distil, distilled_ppo and sac do"
+                    "cloned_ppo, distil, distilled_ppo, finetuned_ppo and sac do"
                 )
             check(recipe, options)
             return function(Training(recipe, options, out, seed, resume, on_evaluation, progress), options)

@@ -12,10 +12,12 @@ ENV = "armctl/ArmPush-v0"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", ["ur5", "panda"])
-def test_places_the_object(robot):
+@pytest.mark.parametrize(
+    ("robot", "policy"), [("ur5", "push_line"), ("ur5", "push_line:memory=false"), ("panda", "push_line")]
+)
+def test_places_the_object(robot, policy):
     played = armctl.evaluate(
-        "push_line", ENV, episodes=10, worlds=10, seed=301, env_options={"robot": robot}, lower_bound_steps=False
+        policy, ENV, episodes=10, worlds=10, seed=301, env_options={"robot": robot}, lower_bound_steps=False
     )
     assert played["success"].sum() >= 9
 
@@ -35,6 +37,19 @@ def test_lifts_the_tool_and_comes_back_when_the_object_has_drifted_off():
             phases.append(expert._phase.value)
     assert phases[:3] == ["over", "down", "push"]
     assert "up" in phases[3:]
+
+
+def test_without_memory_it_does_the_same_whatever_was_before():
+    env = make_worlds(ENV, 2, options={})
+    observations, _ = env.reset(seed=302)
+    led, fresh = make_policy("push_line:memory=false", env), make_policy("push_line:memory=false", env)
+    ids = np.arange(2, dtype=np.int32)
+    led.reset(ids)
+    for _ in range(20):
+        fresh.reset(ids)
+        actions = led.act(observations)
+        np.testing.assert_array_equal(actions, fresh.act(observations))
+        observations, *_ = env.step(actions)
 
 
 @pytest.mark.parametrize("options", [{"control": "velocity"}, {"observation": "features"}])

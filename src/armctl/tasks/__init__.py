@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         BridgeTask,
     )
     from armctl.tasks.learner_view import FeatureSpec, LearnerView
-    from armctl.tasks.lift import LiftOptions, LiftOutcome, LiftState, LiftTask
     from armctl.tasks.push import PushOptions, PushOutcome, PushState, PushTask
     from armctl.tasks.reach import (
         OBSERVATION,
@@ -62,10 +61,6 @@ __all__ = [
     "FeatureSpec",
     "GoalDistance",
     "LearnerView",
-    "LiftOptions",
-    "LiftOutcome",
-    "LiftState",
-    "LiftTask",
     "MotionSample",
     "MovingReachState",
     "Observations",

@@ -1,1 +1,0 @@
-"""Parts that tasks with an object on a table share."""
