@@ -23,7 +23,8 @@ import armctl
 from armctl.core.errors import ArmctlError
 
 REACH, MOVING, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
-POSE, PUSH, BARN = "armctl/ArmPose-v0", "armctl/ArmPush-v0", "armctl/BarnCross-v0"
+POSE, PUSH, LIFT = "armctl/ArmPose-v0", "armctl/ArmPush-v0", "armctl/ArmLift-v0"
+BARN = "armctl/BarnCross-v0"
 BRIDGE, BRIDGE_MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 EXPERTS = ("reach_ik", "reach_mpc", "reach_ompl", "bridge_ompl", "bridge_mpc")
 AGENTS = ("reach_ppo", "reach_bc", "reach_dagger", "reach_sac", "moving_ppo")
@@ -75,6 +76,9 @@ def cases() -> Iterator[tuple[str, dict[str, Any], str, int, int]]:
         yield BARN, {"observation": "state"}, policy, 2, 60
     yield PUSH, {"robot": "panda"}, "push_line", 2, 100
     yield PUSH, {"shaping": "push"}, "random", 2, 40
+    for policy in ("lift_grasp", "random"):
+        yield LIFT, {}, policy, 3, 120
+    yield LIFT, {"shaping": "lift"}, "random", 2, 40
 
 
 def name_of(env: str, options: dict[str, Any], policy: str, *_: int) -> str:

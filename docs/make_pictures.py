@@ -38,6 +38,7 @@ for env_id, name, seed, steps, picture in (
     ("armctl/ArmReach-v0", "reach_ik", 3, 4, "arm_reach.png"),
     ("armctl/ArmPose-v0", "reach_ik", 3, 12, "arm_pose.png"),
     ("armctl/ArmPush-v0", "push_line", 3, 38, "arm_push.png"),
+    ("armctl/ArmLift-v0", "lift_grasp", 5, 58, "arm_lift.png"),
     ("armctl/BarnCross-v0", "bridge_ompl", 3, 25, "barn.png"),
     (
         "armctl/ArmReachObstacles-v0",

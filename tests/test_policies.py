@@ -37,7 +37,7 @@ def no_policy(env):
 SEEN = dict.fromkeys(("reach_ik", "reach_mpc", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"), "model")
 SEEN |= dict.fromkeys(("moving_forecast", "moving_estimated", "bridge_cleaned"), "model")
 SEEN |= dict.fromkeys(("moving_robust_distil", "obstacles_robust_distil"), "model")
-SEEN |= dict.fromkeys(("push_line", "reach_impedance", "reach_rate", "reach_ruckig"), "model")
+SEEN |= dict.fromkeys(("lift_grasp", "push_line", "reach_impedance", "reach_rate", "reach_ruckig"), "model")
 SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo"), "state")
 SEEN |= dict.fromkeys(("bridge_moving_state_ppo", "bridge_moving_imagined", "bridge_mppi", "bridge_orca"), "state")
 SEEN |= dict.fromkeys(("reach_mppi", "bridge_dwa", "bridge_lidar_ompl", "bridge_pursuit"), "model")
@@ -81,7 +81,7 @@ def test_all_installed_policies_meet_somewhere():
 @pytest.mark.parametrize("name", [name for name in policy_names() if name != "random"])
 def test_policies_of_another_task_say_so(name):
     env: Any = gymnasium.make_vec(ENV if name.startswith("bridge") else "armctl/BridgeCross-v0", num_envs=1)
-    with pytest.raises(ArmctlError, match=r"BridgeCross|ArmPush|ArmReach|Reacher"):
+    with pytest.raises(ArmctlError, match=r"BridgeCross|ArmLift|ArmPush|ArmReach|Reacher"):
         make_policy(name, env)
 
 

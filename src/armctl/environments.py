@@ -2,6 +2,7 @@
 
 from armctl.core.registration import register
 
+register("armctl/ArmLift-v0", "armctl.tasks:LiftTask", max_episode_steps=200)
 register("armctl/ArmPose-v0", "armctl.tasks:ReachPoseTask", max_episode_steps=150)
 register("armctl/ArmPush-v0", "armctl.tasks:PushTask", max_episode_steps=300)
 register("armctl/ArmReach-v0", "armctl.tasks:ReachTask", max_episode_steps=100)

@@ -14,6 +14,7 @@ from tests.disturbances.disturbed import BRIDGE, REACH, check_single_environment
 
 ENVS = (
     REACH,
+    "armctl/ArmLift-v0",
     "armctl/ArmPose-v0",
     "armctl/ArmPush-v0",
     "armctl/ArmReachMoving-v0",

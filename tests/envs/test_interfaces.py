@@ -20,6 +20,7 @@ LEARNER = {"actions": "normalized", "control": "relative", "observation": "featu
 INTERFACES = [
     *((env, {"observation": name}) for env in REACH for name in ("paper", "features", "full")),
     *((env, LEARNER) for env in REACH),
+    *(("armctl/ArmLift-v0", {"observation": name}) for name in ("paper", "features", "full")),
     *(("armctl/ArmPose-v0", {"observation": name}) for name in ("paper", "features", "full")),
     *(("armctl/ArmPush-v0", {"observation": name}) for name in ("paper", "features", "full")),
     ("armctl/BarnCross-v0", {"observation": "full"}),

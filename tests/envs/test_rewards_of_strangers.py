@@ -87,6 +87,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
 @pytest.mark.parametrize(
     ("env", "bounds"),
     [
+        ("ArmLift-v0", (-500.0, 99.0)),
         ("ArmPose-v0", (-150.0, 99.0)),
         ("ArmPush-v0", (-600.0, 99.0)),
         ("ArmReach-v0", (-100.0, 99.0)),

@@ -213,7 +213,7 @@ def test_installed_policies_declare_what_they_see():
     knowing |= {"moving_forecast", "moving_estimated", "bridge_cleaned"}
     knowing |= {"moving_robust_distil", "obstacles_robust_distil"}
     knowing |= {"bridge_dwa", "bridge_lidar_ompl", "bridge_pursuit"}
-    knowing |= {"push_line", "reach_impedance", "reach_rate", "reach_ruckig"}
+    knowing |= {"lift_grasp", "push_line", "reach_impedance", "reach_rate", "reach_ruckig"}
     assert {name for name, sees in declared.items() if sees == "model"} == knowing
     assert "map" not in declared.values()
 

@@ -67,6 +67,7 @@ CHEATS = [
     ("ArmReachMoving-v0", writes("task._amplitudes", value=0.0), "task._amplitudes"),
     ("ArmPose-v0", writes("task.state.angle", value=0.0), "task.state.angle"),
     ("ArmPose-v0", writes("task._quaternions", value=0.5), "simulation.state|task._quaternions"),
+    ("ArmLift-v0", writes("task._hand._commands"), "simulation.state|task._hand"),
     ("ArmPush-v0", writes("task._frictions", value=0.01), "simulation.pair_friction"),
     (OBSTACLES, writes("task._contacts._touched", value=0.5), "task._contacts._touched"),
     (OBSTACLES, moves_boxes, "simulation.body_pos"),
@@ -157,7 +158,9 @@ def test_none_of_its_episodes_count_and_everything_says_why(tmp_path):
     assert [policy.policy for policy in workers.policies] == ["random"]
 
 
-@pytest.mark.parametrize("env", [REACH, "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", OBSTACLES, BRIDGE])
+@pytest.mark.parametrize(
+    "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", OBSTACLES, BRIDGE]
+)
 def test_what_is_watched_holds_the_whole_state(env):
     worlds = make_worlds(env, 1, SMALL if env == BRIDGE else None)
     worlds.reset(seed=0)
@@ -308,7 +311,9 @@ def test_environments_of_others_are_watched_as_a_policy_is_made():
     )
 
 
-@pytest.mark.parametrize("env", [REACH, "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", OBSTACLES, BRIDGE])
+@pytest.mark.parametrize(
+    "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", OBSTACLES, BRIDGE]
+)
 def test_installed_policies_write_nothing_as_they_are_made(env):
     """There is no false alarm."""
     for name in task_of(env).default_policies:

@@ -16,6 +16,7 @@ from .test_wrappers import PAIRS, make
 def test_each_environment_names_its_oracles():
     names = {env: potential_names(make(env, 1)) for env in gymnasium.registry if env.startswith("armctl/")}
     assert names == {
+        "armctl/ArmLift-v0": ["distance", "lift"],
         "armctl/ArmPose-v0": ["distance", "ik"],
         "armctl/ArmPush-v0": ["distance", "push"],
         "armctl/ArmReach-v0": ["distance", "ik", "mpc"],

@@ -16,6 +16,7 @@ from armctl.tasks.bridge.layout import sample_layout
 GAMMA = 0.97
 PAIRS = [
     ("armctl/ArmPose-v0", "ik", "reach_ik"),
+    pytest.param("armctl/ArmLift-v0", "lift", "lift_grasp", marks=pytest.mark.slow),
     ("armctl/ArmPush-v0", "push", "push_line"),
     ("armctl/ArmReach-v0", "distance", "reach_ik"),
     ("armctl/ArmReach-v0", "ik", "reach_ik"),
@@ -77,7 +78,7 @@ def test_shaping_telescopes_over_truncated_random_episodes(env, potential, exper
 @pytest.mark.one_case
 @pytest.mark.parametrize(("env", "potential", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
 def test_shaping_telescopes_over_expert_episodes_that_terminate(env, potential, expert):
-    steps = 40 if "Reach-" in env else 150 if "Bridge" in env else 240 if "Push" in env else 90
+    steps = 40 if "Reach-" in env else 150 if "Bridge" in env else 240 if "Push" in env or "Lift" in env else 90
     won = assert_telescopes(env, potential, expert, steps, steps)
     assert won.mean() >= (0.75 if "Obstacles" in env else 1.0)
 

@@ -20,6 +20,7 @@ CASES = [
     ("ArmReach-v0", {"disturbances": {"payload": 2.0, "mismatch": 0.05, "pushes": 1.0}}),
     ("ArmReachMoving-v0", {"control": "velocity"}),
     ("ArmPose-v0", {"control": "position", "tolerance": 0.3, "angle_tolerance": 90.0}),
+    ("ArmLift-v0", {"control": "position", "disturbances": {"strength": 0.8}}),
     ("ArmPush-v0", {"control": "relative", "disturbances": {"payload": 1.0}}),
     ("ArmReachObstacles-v0", {"control": "delta", "solvable": False}),
     ("BridgeCross-v0", SMALL),

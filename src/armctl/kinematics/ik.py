@@ -130,6 +130,13 @@ class Ik:
         q, approximate = self.closed_form(target)
         return self._chosen(target, q, approximate, seed, count) or self._polished(target, q, approximate, seed, count)
 
+    def follow(self, target: Array, seed: Array) -> IkResult:
+        """Return the configuration for a pose (4, 4) to which the numeric search leads from `seed` (dof,) alone.
+
+        It needs no closed form, and so is the same with whatever is installed.
+        """
+        return self._result([self._polish(_PoseProblem(self.model, target), self._checked(seed, 1))], seed, 1)
+
     def _chosen(
         self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
     ) -> IkResult | None:

@@ -92,7 +92,7 @@ class Filters(Protocol):
 class ArmFilters:
     """Filters of n arms. A state is positions and velocities of drives, and then of joints, rad and rad/s.
 
-    Raises `ConfigurationError` for torques.
+    Raises `ConfigurationError` for torques, and for arms with a hand.
     """
 
     max_delay = 10
@@ -102,6 +102,8 @@ class ArmFilters:
         if control == "torque":
             raise ConfigurationError("the safety filter of arms goes by their drives, which control='torque' has not")
         self._task, self._margin, dof = task, chosen.margin, task.robot.dof
+        if task.action_space.shape != (dof,):
+            raise ConfigurationError("the safety filter of arms is for joints alone, not for a hand")
         self._gains = np.array(task.simulation.model.actuator_gainprm[: 2 * dof, 0]).reshape(2, dof)
         self._shapes, self._to_positions = ArmShapes(ArmModel(task.robot)), control in ("position", "relative")
         self.accuracy = np.repeat((*DRIVES_ACCURACY, np.inf, np.inf), dof)

@@ -150,23 +150,29 @@ def speed_limits(description: ArmDescription) -> dict[str, float]:
 
 
 def build_arm_world(
-    description: ArmDescription, control: str, furnish: Callable[[Any, ArmDescription], None] | None = None
+    description: ArmDescription,
+    control: str,
+    furnish: Callable[[Any, ArmDescription], None] | None = None,
+    add_motors: Callable[[Any], None] | None = None,
 ) -> mujoco.MjModel:
     """Return the MJCF world `models/arm_reach.xml` with the arm at its origin, its servos, and the keyframe `home`.
 
-    `furnish`, a function of a module, adds to the `MjSpec` what else a task needs. Each world is compiled once; the
-    model returned is a copy.
+    `furnish`, a function of a module, adds to the `MjSpec` what else a task needs, and `add_motors` further motors,
+    after those of the arm. Each world is compiled once; the model returned is a copy.
 
     Raises `ConfigurationError` if `control` is not one of `CONTROLS`.
     """
     if control not in CONTROLS:
         raise unknown_name("control", control, CONTROLS)
-    return copy.copy(_compiled(description, control, furnish))
+    return copy.copy(_compiled(description, control, furnish, add_motors))
 
 
 @functools.lru_cache(maxsize=8)
 def _compiled(
-    description: ArmDescription, control: str, furnish: Callable[[Any, ArmDescription], None] | None
+    description: ArmDescription,
+    control: str,
+    furnish: Callable[[Any, ArmDescription], None] | None,
+    add_motors: Callable[[Any], None] | None,
 ) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(world_path("arm_reach")))
     spec.compiler.fusestatic = False
@@ -198,6 +204,8 @@ def _compiled(
     else:
         _add_servos(spec, description, _joint_inertia(model, description))
         spec.add_key(name="home", qpos=home, act=description.home)
+    if add_motors is not None:
+        add_motors(spec)
     return spec.compile()
 
 

@@ -1,16 +1,10 @@
-"""The table of `armctl/ArmPush-v0`, the object on it, and the tool: geometry that truth and belief share. SI units."""
+"""The object on the table of `armctl/ArmPush-v0`, and the tool: geometry that truth and belief share. SI units."""
 
 import numpy as np
 
 from armctl.core.arrays import Array
-from armctl.scene.boxes import Boxes
+from armctl.scene.tabletop import TOP
 
-TOP = 0.05
-"""m: height of the table above the floor."""
-TABLE_LOW, TABLE_HIGH = np.array((0.2, -0.45)), np.array((0.85, 0.45))
-"""m: corners of the table top."""
-MARGIN = 0.12
-"""m: least distance of objects and targets from the table's edges."""
 OBJECT_HALF_SIZES = np.array((0.05, 0.04, 0.03))
 """m, of the box that is pushed."""
 OBJECT_RADIUS = float(np.linalg.norm(OBJECT_HALF_SIZES[:2]))
@@ -25,12 +19,6 @@ STAND_OFF = OBJECT_RADIUS + TOOL_RADIUS + 0.02
 """m: distance from the object's centre at which the tool comes down behind it."""
 SPACING = 0.03
 """m between the points of a certified line."""
-
-
-def table() -> Boxes:
-    """Return the table as a box."""
-    middle, half = (TABLE_LOW + TABLE_HIGH) / 2, (TABLE_HIGH - TABLE_LOW) / 2
-    return Boxes(np.array([[*middle, TOP / 2]]), np.array([[*half, TOP / 2]]), np.zeros(1))
 
 
 def line_points(place: Array, target: Array) -> Array:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         BridgeTask,
     )
     from armctl.tasks.learner_view import FeatureSpec, LearnerView
+    from armctl.tasks.lift import LiftOptions, LiftOutcome, LiftState, LiftTask
     from armctl.tasks.push import PushOptions, PushOutcome, PushState, PushTask
     from armctl.tasks.reach import (
         OBSERVATION,
@@ -61,6 +62,10 @@ __all__ = [
     "FeatureSpec",
     "GoalDistance",
     "LearnerView",
+    "LiftOptions",
+    "LiftOutcome",
+    "LiftState",
+    "LiftTask",
     "MotionSample",
     "MovingReachState",
     "Observations",

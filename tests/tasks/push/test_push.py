@@ -8,7 +8,7 @@ from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.kinematics import ArmModel
 from armctl.kinematics.vertical_tool import VerticalTool
 from armctl.policies import make_policy
-from armctl.scene import push_table
+from armctl.scene import push_table, tabletop
 from armctl.simulation.impacts import DEPTH
 from armctl.tasks import PushTask
 
@@ -39,7 +39,7 @@ def test_each_line_from_object_to_target_is_certified_and_on_the_table(robot):
     env = worlds(robot=robot)
     _, infos = env.reset(seed=0)
     model = ArmModel(robot)
-    tool = VerticalTool(model, push_table.TOOL_LENGTH, push_table.table())
+    tool = VerticalTool(model, push_table.TOOL_LENGTH, tabletop.table())
     for start, target in zip(env.task.state.object_position, env.task.state.target_position, strict=True):
         points = push_table.line_points(start[:2], target[:2])
         line = tool.line(points, model.home)
@@ -48,8 +48,8 @@ def test_each_line_from_object_to_target_is_certified_and_on_the_table(robot):
         assert tool.model.are_free(line).all()
         assert 0.1 <= np.hypot(*(target - start)[:2]) <= 0.4
         for x, y in (start[:2], target[:2]):
-            assert ((x, y) > push_table.TABLE_LOW + 0.1).all()
-            assert ((x, y) < push_table.TABLE_HIGH - 0.1).all()
+            assert ((x, y) > tabletop.TABLE_LOW + 0.1).all()
+            assert ((x, y) < tabletop.TABLE_HIGH - 0.1).all()
     assert infos["feasible"].all()
 
 
@@ -68,7 +68,7 @@ def test_a_sliding_object_brakes_by_its_own_friction_whatever_its_mass():
     stay(env, 15)
     task = env.task
     slid = task.state.object_position[:, 1]
-    expected = 0.5**2 / (2 * 9.81 * task._frictions[:, task._pair, 0])
+    expected = 0.5**2 / (2 * 9.81 * task._frictions[:, task._pairs[0], 0])
     np.testing.assert_allclose(slid, expected, rtol=0.1)
     assert np.ptp(task._masses[:, task._object]) > 0.2
 

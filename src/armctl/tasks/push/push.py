@@ -17,31 +17,22 @@ from armctl.core.errors import ConfigurationError
 from armctl.kinematics.vertical_tool import VerticalTool
 from armctl.robot_description import ArmDescription
 from armctl.robots.arm import build_arm_world
-from armctl.scene import Boxes, push_table
-from armctl.simulation.contacts import ContactSensors
+from armctl.scene import push_table, tabletop
 from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.push.options import PushOptions
 from armctl.tasks.push.potentials import PushDistance
 from armctl.tasks.push.state import PUSH_FEATURES, PUSH_OBSERVATION, PushState
-from armctl.tasks.push.world import OBJECT, SLIDING, TOOL, TOUCHED, furnish
+from armctl.tasks.push.world import TOOL, furnish
 from armctl.tasks.reach.observation import LENGTH_MARGIN, LENGTH_SCALE, Bounds
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachTask
 from armctl.tasks.reach.state import Term
-from armctl.tasks.task import Ids, Outcome, Potential
+from armctl.tasks.tabletop.tabletop import ATTEMPTS, OBJECT_HIGH, OBJECT_LOW, TabletopTask
+from armctl.tasks.task import Outcome, Potential
 
-AT_REST = 0.01
-"""m/s: a slower object is at rest."""
-UPRIGHT = 0.8
-"""Cosine of the tilt beyond which an object falls on another side."""
 SHORTEST, LONGEST = 0.1, 0.4
 """m between an object and its target."""
 LARGEST_MOVE = 0.1
 """rad: largest move of a joint in an action of a learner; at the speed of a push, joints move by 0.02 rad a step."""
-ATTEMPTS = 200
-OBJECT_LOW, OBJECT_HIGH = np.array((-1.0, -1.5, -0.1)), np.array((2.0, 1.5, 1.0))
-"""m: box to which the observed place of an object is clipped that has been hit hard."""
-OBJECT_SPEED = np.array((5.0, 5.0, 50.0))
-"""m/s, m/s and rad/s: the same of its velocity."""
 
 
 class PushOutcome(Outcome):
@@ -52,24 +43,21 @@ class PushOutcome(Outcome):
     FELL = 2
 
 
-class PushTask(ReachTask):
+class PushTask(TabletopTask):
     """n arms, each with an object on a table, and its target there."""
 
     options: PushOptions
     options_type: ClassVar[type[Any]] = PushOptions
     outcomes = PushOutcome
     possible_outcomes = tuple(PushOutcome)
-    units: ClassVar[Mapping[str, str]] = {
-        **ReachTask.units, "tool_position": "m", "object_position": "m", "object_axis": "",
-        "object_velocity": "m/s, m/s, rad/s",
-    }  # fmt: skip
+    units: ClassVar[Mapping[str, str]] = {**TabletopTask.units, "tool_position": "m"}
     instruction = "Push the object to the target."
     default_policies = ("push_line", "push_bc", "random")
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         "distance": ReachTask.potentials["distance"],
         "push": PushDistance,
     }
-    stops_at_target = False
+    touching = push_table.TOOL_LENGTH + push_table.TOOL_RADIUS + float(np.linalg.norm(push_table.OBJECT_HALF_SIZES))
 
     def __init__(self, n: int, options: PushOptions, threads: int = 0) -> None:
         super().__init__(n, options, threads)
@@ -89,67 +77,28 @@ class PushTask(ReachTask):
         placed = self.state.reached * np.int8(PushOutcome.PLACED)
         return np.where(self.state.fell, np.int8(PushOutcome.FELL), placed)
 
-    def min_time(self, world: int) -> float:
-        """Return a lower bound on the time to success, s: that until the tool can touch the object."""
-        q, velocity = self.arm.joint_positions[world], self.arm.joint_velocities[world]
-        touching = push_table.TOOL_LENGTH + push_table.TOOL_RADIUS + float(np.linalg.norm(push_table.OBJECT_HALF_SIZES))
-        return self._minimum_time.min_time(q, self.state.object_position[world], touching, velocity)
-
-    def static_map(self, world: int) -> Boxes:
-        """Return the table."""
-        return push_table.table()
-
-    def advance(self, ids: Ids | None) -> None:
-        """Simulate until the next control step, in worlds `ids` or in all."""
-        self._contacts.forget(ids)
-        super().advance(ids)
-
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
         return build_arm_world(description, self.options.control, _furnish)
 
     def _bind_arrays(self) -> None:
-        simulation, model = self.simulation, self.simulation.model
-        self._object, tool = model.body(OBJECT).id, model.body(TOOL).id
+        super()._bind_arrays()
+        tool = self.simulation.model.body(TOOL).id
         self._target_query = self._target_query._replace(body=tool)
-        positions, rotations = simulation.array("xpos"), simulation.array("xmat").reshape(self.n, -1, 9)
-        self._tool_positions, self._object_positions = positions[:, tool], positions[:, self._object]
-        self._object_rotations = rotations[:, self._object]
-        joint = model.joint(OBJECT)
-        self._object_qpos = simulation.array("qpos")[:, joint.qposadr[0] :]
-        self._object_qvel = simulation.array("qvel")[:, joint.dofadr[0] :]
-        self._masses, self._inertias = simulation.per_world("body_mass"), simulation.per_world("body_inertia")
-        self._unit_inertia = model.body_inertia[self._object] / model.body_mass[self._object]
-        self._frictions, self._pair = simulation.per_world("pair_friction"), model.pair(SLIDING).id
-        self._contacts = ContactSensors(simulation, ("arm",), TOUCHED)
-        self._contacts_part = self._contacts.part
+        self._tool_positions = self._positions[:, tool]
 
     @functools.cached_property
     def _tool(self) -> VerticalTool:
-        return VerticalTool(self._workspace.model, push_table.TOOL_LENGTH, push_table.table())
-
-    def _contact(self) -> NDArray[np.bool_]:
-        return np.asarray(self._contacts.since_last_step()[:, 0].any(axis=1))
-
-    def _sample_episodes(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
-        self._contacts.forget(ids)
-        super()._sample_episodes(ids, rngs)
-        self.simulation.derive(ids)
+        return VerticalTool(self._workspace.model, push_table.TOOL_LENGTH, tabletop.table())
 
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
-        mass, friction, yaw = (
-            rng.uniform(*self.options.mass),
-            rng.uniform(*self.options.friction),
-            rng.uniform(0, np.pi),
-        )
-        self._masses[world, self._object], self._frictions[world, self._pair, :2] = mass, friction
-        self._inertias[world, self._object] = mass * self._unit_inertia
+        yaw = self._draw_object(world, rng)
         place, self._targets[world, :2] = self._sample_line(rng)
         self._targets[world, 2] = push_table.TOOL_HEIGHT
-        self._object_qpos[world] = (*place, push_table.TOOL_HEIGHT, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
+        self._place_object(world, place, push_table.TOOL_HEIGHT, yaw)
 
     def _sample_line(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw places of object and target (2,) m between which the arm can push along a line."""
-        low, high = push_table.TABLE_LOW + push_table.MARGIN, push_table.TABLE_HIGH - push_table.MARGIN
+        low, high = tabletop.TABLE_LOW + tabletop.MARGIN, tabletop.TABLE_HIGH - tabletop.MARGIN
         for _ in range(ATTEMPTS):
             place, target = rng.uniform(low, high, (2, 2))
             if not SHORTEST <= np.hypot(*(target - place)) <= LONGEST:
@@ -162,33 +111,19 @@ class PushTask(ReachTask):
         room = LENGTH_MARGIN * self._workspace.radius + push_table.TOOL_LENGTH
         arm = room + np.abs(self._workspace.centre)
         far = LENGTH_SCALE * float(np.linalg.norm(np.maximum(arm, np.abs((OBJECT_LOW, OBJECT_HIGH)).max(axis=0))))
-        paper, features, unit = PUSH_OBSERVATION, PUSH_FEATURES, (-1.0 - 1e-6, 1.0 + 1e-6)
+        features = PUSH_FEATURES
         return super()._part_bounds() | {
-            paper["tool_position"]: (-arm, arm),
-            paper["object_position"]: (OBJECT_LOW, OBJECT_HIGH),
-            paper["object_axis"]: unit,
-            paper["object_velocity"]: (-OBJECT_SPEED, OBJECT_SPEED),
-            features["object_axis_ahead"]: unit,
-            features["object_velocity_ahead"]: (-2 * OBJECT_SPEED, 2 * OBJECT_SPEED),
+            PUSH_OBSERVATION["tool_position"]: (-arm, arm),
             **dict.fromkeys((features["tool_ahead"], features["object_ahead"], features["target_ahead"]), (-far, far)),
             **dict.fromkeys((features["tool_to_object"], features["object_to_target"]), (-2 * far, 2 * far)),
         }
 
     def _update_state(self, action: Array) -> None:
         super()._update_state(action)
-        positions, rotations, velocities = self._object_positions, self._object_rotations, self._object_qvel
-        yaws = np.arctan2(rotations[:, 3], rotations[:, 0])
-        fell = (positions[:, 2] < push_table.TOP) | (rotations[:, 8] < UPRIGHT)
-        at_rest = np.linalg.norm(velocities[:, :3], axis=1) < AT_REST
-        values = vars(self.state) | {"reached": (self.state.distance <= self.options.tolerance) & at_rest & ~fell}
+        reached = (self.state.distance <= self.options.tolerance) & self.state.at_rest & ~self.state.fell
         self.state: PushState = PushState(
-            **values,
-            tool_position=self._tool_positions,
-            object_position=np.clip(positions, OBJECT_LOW, OBJECT_HIGH),
-            object_axis=np.column_stack((np.cos(yaws), np.sin(yaws))),
-            object_velocity=np.clip(velocities[:, [0, 1, 5]], -OBJECT_SPEED, OBJECT_SPEED),
-            fell=np.asarray(fell),
-        )
+            **vars(self.state) | {"reached": reached}, tool_position=self._tool_positions
+        )  # fmt: skip
 
     def _distances(self) -> Array:
         return np.asarray(np.hypot(*(self._object_positions - self._targets)[:, :2].T))

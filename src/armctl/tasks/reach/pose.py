@@ -174,8 +174,8 @@ class ReachPoseTask(ReachTask):
         angles_between(np.ascontiguousarray(self._rotations), self._target_query.rotations, angles)
         self.state: PoseReachState = PoseReachState(
             **vars(self.state),
-            end_effector_axes=_first_axes(self._rotations),
-            target_axes=_first_axes(self._target_rotations),
+            end_effector_axes=first_axes(self._rotations),
+            target_axes=first_axes(self._target_rotations),
             angle=angles,
         )
 
@@ -185,7 +185,7 @@ class ReachPoseTask(ReachTask):
         return super()._part_bounds() | dict.fromkeys(axes, unit)
 
 
-def _first_axes(rotations: Array) -> Array:
+def first_axes(rotations: Array) -> Array:
     """Return the first two columns, one after the other, (n, 6), of rotation matrices (n, 9)."""
     return np.concatenate((rotations[:, 0::3], rotations[:, 1::3]), axis=1)
 

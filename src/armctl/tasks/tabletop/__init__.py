@@ -1,0 +1,1 @@
+"""Parts that tasks with an object on a table share."""
