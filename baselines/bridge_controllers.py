@@ -139,7 +139,7 @@ class BridgePolicy:
     ) -> None:
         if not isinstance(env.task, BridgeTask):
             raise ConfigurationError(f"{name} cannot play this task: use it with armctl/BridgeCross-v0")
-        self._env, self._make_one = env, make_one
+        self._env, self._make_one, self.prepared = env, make_one, prepared
         self._controllers: list[Any] = [None] * env.num_envs
         self._failed_before = np.zeros(env.num_envs, dtype=np.int64)
         self._observer = DriveObserver(env.num_envs) if prepared else None

@@ -69,7 +69,8 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
         return PerWorld([unprepared(*setting, task.control) for _ in range(env.num_envs)])
     expert = PreparedReachIkTracking if moving else PreparedReachIk
     clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
-    return PerWorld([expert(*setting, ArmObserver(search.model, CONTROL_PERIOD, moving, clock)) for clock in clocks])
+    observers = (ArmObserver(search.model, CONTROL_PERIOD, moving, clock) for clock in clocks)
+    return PerWorld([expert(*setting, observer) for observer in observers], prepared=True)
 
 
 class ReachIk:

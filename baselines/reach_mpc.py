@@ -67,7 +67,8 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     search = search_for(configurations.model, task)
     mpc = changed_options(AMONG_BOXES if "boxes" in parts else WITHOUT_BOXES, options, "option of reach_mpc")
     clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
-    return PerWorld([ReachWithMpc(configurations, search, task.tolerance, parts, mpc, clock) for clock in clocks])
+    experts = [ReachWithMpc(configurations, search, task.tolerance, parts, mpc, clock) for clock in clocks]
+    return PerWorld(experts, prepared=mpc.prepared)
 
 
 class ReachWithMpc:

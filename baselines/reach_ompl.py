@@ -98,7 +98,7 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
     if not choice.prepared:
         return PerWorld([ReachOmpl(*setting) for _ in range(env.num_envs)])
     clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
-    return PerWorld([PreparedReachOmpl(*setting, clock) for clock in clocks])
+    return PerWorld([PreparedReachOmpl(*setting, clock) for clock in clocks], prepared=True)
 
 
 class ReachOmpl:

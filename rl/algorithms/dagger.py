@@ -17,7 +17,7 @@ from armctl.core.options import Count, options
 from armctl.datasets.demonstrations import Demonstration
 from armctl.policies import Policy
 from armctl.rl.algorithms.cloning import fit, new_actor
-from armctl.rl.data.demonstrations import CloningOptions, Examples, Teacher, examples_for
+from armctl.rl.data.demonstrations import CloningOptions, Examples, Teacher, check_labels, examples_for
 from armctl.rl.networks.actor import Actor, numpy_arrays, tensors
 from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.learner import learner
@@ -63,7 +63,9 @@ def train(training: Training, options: DaggerOptions) -> AgentCard:
         raise ConfigurationError(f"{options.rounds} rounds need an episode and a gradient step each")
     steps = options.steps // options.rounds
     teacher = Teacher(training, min(options.worlds, each))
-    if not options.teacher_memory:
+    if options.teacher_memory:
+        check_labels(teacher.name, teacher.policy)
+    else:
         teacher.policy = MemorylessTeacher(teacher.policy)
     with training:
         try:

@@ -155,15 +155,26 @@ def teacher_in(envs: TaskVectorEnv, recipe: Recipe, policy_seed: int) -> Policy:
 
     `policy_seed` determines its random numbers. No disturbance reaches the observations on which the teacher acts.
 
-    Raises `ConfigurationError` for a recipe without a teacher, and what `armctl.make_policy` raises.
+    Raises `ConfigurationError` for a recipe without a teacher, or with a prepared one, and what `armctl.make_policy`
+    raises.
     """
     teacher = _teacher_of(recipe)
     card = card_of(teacher)
     if card is None or card.sees != "state" or envs.task.state_space is None:
         policy = make_policy(teacher, envs, policy_seed=policy_seed)
+        check_labels(teacher, policy)
         return UndisturbedPolicy(policy, envs) if envs.disturbances else policy
     with state_observing_env(envs) as single_env:
         return StateObservingAgent(make_policy(teacher, single_env, policy_seed=policy_seed), envs)
+
+
+def check_labels(name: str, policy: Policy) -> None:
+    """Raise `ConfigurationError` for a teacher that takes the student's commands for its own."""
+    if getattr(policy, "prepared", False):
+        raise ConfigurationError(
+            f"{name} identifies the robot by its own commands, but the student's are executed: take "
+            f"{name.partition(':')[0]}:prepared=false as its teacher"
+        )
 
 
 def _teacher_of(recipe: Recipe) -> str:

@@ -96,13 +96,19 @@ PolicyFactory = Callable[[Any], Policy]
 
 
 class PerWorld:
-    """A policy that consists of one controller for each world."""
+    """A policy that consists of one controller for each world.
+
+    `prepared` ones identify the robot by their own commands: they label no states into which others steer.
+    """
 
     training_steps = 0
 
-    def __init__(self, controllers: Sequence[Controller], sees: Sees = "observation") -> None:
+    def __init__(
+        self, controllers: Sequence[Controller], sees: Sees = "observation", *, prepared: bool = False
+    ) -> None:
         self.controllers = controllers
         self.sees = sees
+        self.prepared = prepared
 
     @property
     def failures(self) -> NDArray[np.int64]:

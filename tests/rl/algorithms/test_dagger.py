@@ -6,7 +6,9 @@ from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
 from armctl.rl.algorithms.dagger import MemorylessTeacher
 from armctl.rl.algorithms.dagger import train as dagger
+from armctl.rl.algorithms.distil import train as distil
 from armctl.rl.run.training import Training
+from armctl.training.learners import load_recipe
 from tests.rl.small_trainings import asked, small
 
 
@@ -91,8 +93,18 @@ def test_rounds_need_episodes(tmp_path):
 def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path, unexported):
     recipe = small("reach_dagger", demonstrations=2, rounds=2, steps=4, validation_episodes=2, evaluation_episodes=2)
     recipe = recipe.changed(
-        env="armctl/BridgeCross-v0", env_options={"resolution": (8, 6), "max_episode_steps": 8}, teacher="bridge_ompl"
+        env="armctl/BridgeCross-v0",
+        env_options={"resolution": (8, 6), "max_episode_steps": 8},
+        teacher="bridge_ompl:prepared=false",
     )
     card = dagger(recipe, out=tmp_path / "run", seed=0, progress=False)
     assert card.observation_shape == {"image": [6, 8], "motion": [3]}
-    assert card.teacher == "bridge_ompl"
+    assert card.teacher == "bridge_ompl:prepared=false"
+
+
+@pytest.mark.parametrize("teacher", ["reach_ik", "reach_mpc"])
+@pytest.mark.parametrize(("train", "recipe"), [(dagger, "reach_dagger"), (distil, "distil")])
+def test_a_teacher_that_takes_the_students_commands_for_its_own_is_refused(tmp_path, train, recipe, teacher):
+    chosen = load_recipe(recipe, "armctl/ArmReach-v0").changed(teacher=teacher, shaping=None, options={"worlds": 2})
+    with pytest.raises(ConfigurationError, match=f"{teacher}:prepared=false"):
+        train(chosen, out=tmp_path / "run", seed=0, progress=False)

@@ -22,7 +22,12 @@ def student(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "student"
     options = SIZES | {"steps": 64, "length": 8, "memory_units": 5, "evaluation_every": 64}
     chosen = Recipe(
-        name="student", learner="distil", env=BRIDGE, env_options=CAMERA, teacher="bridge_ompl", options=options
+        name="student",
+        learner="distil",
+        env=BRIDGE,
+        env_options=CAMERA,
+        teacher="bridge_ompl:prepared=false",
+        options=options,
     )
     distil.train(chosen, out=out, seed=0, progress=False)
     return str(out / "agent.json")

@@ -82,7 +82,9 @@ def test_a_new_stage_begins_new_episodes(monkeypatch, unexported, tmp_path):
 @pytest.mark.slow
 def test_a_student_s_teacher_comes_along(stages, unexported, tmp_path):
     options = {**FEW, "length": 4, "epochs": 1, "hidden_units": 8, "memory_units": 8}
-    chosen = recipe("distil", options, reward_weights={}, curriculum=[{"after": 0.5}], teacher="reach_ik")
+    chosen = recipe(
+        "distil", options, reward_weights={}, curriculum=[{"after": 0.5}], teacher="reach_ik:prepared=false"
+    )
     card = distil.train(chosen, out=tmp_path / "run", seed=0, progress=False)
     assert stages == [(0.2, 1.0)] * 8 + [(0.05, 1.0)] * 8
     assert card.teacher_queries == 64
