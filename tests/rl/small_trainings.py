@@ -16,7 +16,7 @@ def small(name, **options):
 
 def asked(env):
     """reach_ik, which notes where it was asked and how often it was reset."""
-    policy: Any = make_policy("reach_ik", env)
+    policy: Any = make_policy("reach_ik:prepared=false", env)
     act, reset = policy.act, policy.reset
     policy.seen, policy.resets = [], 0
 

@@ -126,11 +126,10 @@ class _Line:
 
     def play(self, kept: EpisodeTable, task: Task, ends: Sequence[int]) -> Iterator[RolloutBatch | int]:
         """Play the episodes that are not among those that were `kept`, in blocks; yield the end of each after it."""
-        lower_bound_steps = task.lower_bound_steps
         finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
-        lower_bound_steps.update(zip(*lengths, strict=True))
-        play_block, playing, start = self._block_player(lower_bound_steps), set(finished), 0
+        task.lower_bound_steps.update(zip(*lengths, strict=True))
+        play_block, playing, start = self._block_player(task.lower_bound_steps), set(finished), 0
         names = [*self.policies]
         for end in ends:
             numbers = np.arange(start, end)
