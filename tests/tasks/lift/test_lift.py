@@ -67,7 +67,10 @@ def test_boxes_differ_in_size_and_mass_and_rest_on_the_table():
     env = worlds(6)
     env.reset(seed=1)
     task = env.task
-    before, sizes = task.state.object_position.copy(), task._sizes[:, task._geom]
+    before, sizes = (
+        task.state.object_position.copy(),
+        task._object_geom._sizes[:, task.simulation.model.geom("object").id],
+    )
     np.testing.assert_allclose(before[:, 2], tabletop.TOP + sizes[:, 2])
     assert np.ptp(sizes, axis=0).min() > 0.003
     (x, y, z), mass = sizes[1], task._masses[1, task._object]

@@ -21,6 +21,7 @@ from armctl.robot_description import ArmDescription
 from armctl.robots.arm import PREFIX, build_arm_world
 from armctl.robots.hand import FINGERS, Hand, add_finger_motors, worlds_with_hands
 from armctl.scene import lift_table, tabletop
+from armctl.simulation.box_geoms import BoxGeoms
 from armctl.simulation.contacts import ContactSensors
 from armctl.tasks.learner_view import LearnerView
 from armctl.tasks.lift.options import LiftOptions
@@ -112,10 +113,7 @@ class LiftTask(TabletopTask):
         super()._bind_arrays()
         model, simulation = self.simulation.model, self.simulation
         self._hand, self._grips = Hand(simulation), ContactSensors(simulation, FINGERS, (OBJECT,))
-        self._geom = model.geom(OBJECT).id
-        self._sizes, self._bounds, self._radii = (
-            simulation.per_world(name) for name in ("geom_size", "geom_aabb", "geom_rbound")
-        )
+        self._object_geom = BoxGeoms(simulation, np.array([model.geom(OBJECT).id]))
         self._tip_rotations = self._rotations[:, model.body(PREFIX + self.arm.description.tip).id]
 
     @functools.cached_property
@@ -131,8 +129,7 @@ class LiftTask(TabletopTask):
 
     def _resize(self, world: int, half_sizes: Array) -> None:
         """Give the object other half sizes (3,) m, and the inertia of its mass in them."""
-        self._sizes[world, self._geom] = self._bounds[world, self._geom, 3:] = half_sizes
-        self._radii[world, self._geom] = np.linalg.norm(half_sizes)
+        self._object_geom.resize(np.array([world], dtype=np.int32), half_sizes[None, None])
         squares = half_sizes**2
         self._inertias[world, self._object] = self._masses[world, self._object] * (squares.sum() - squares) / 3
 
