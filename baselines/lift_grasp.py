@@ -7,18 +7,18 @@ follow the hand, it begins again. Readings are averaged (`armctl.control.tool_mo
 from collections.abc import Mapping
 from enum import Enum
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.control.tool_motion import ToolMotion
+from armctl.control.tool_motion import MotionWithoutMemory, ToolMotion
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel
-from armctl.kinematics.grasp import grasp_turn
+from armctl.kinematics.grasp import grasp_turn, hand_turn
 from armctl.kinematics.vertical_tool import VerticalTool
 from armctl.policies import PerWorld, made_for, sees
 from armctl.scene import lift_table
@@ -36,6 +36,13 @@ LONGEST_MEAN = 20
 """Readings over which the object's place is averaged until the fingers close."""
 TRUST = 0.3
 """Weight of a reading of how far the object is behind the hand."""
+INSIDE = 0.015
+"""m by which a hand without memory is beside or above the centre of an object that is between its fingers, at most."""
+STEEPNESS, TURN_STEEPNESS = 8.0, 0.3
+"""m/m and m/rad: it comes down in a funnel, the lower the nearer it is to the object's place and sides."""
+DECISIVE_SPEED = 0.08
+"""m/s: it is never slower before it lifts, so that a clone's errors do not stop it."""
+UP = np.array((0.0, 0.0, 1.0))
 LOST = 0.03
 """m: an object that is so far behind the hand has not been grasped."""
 
@@ -52,6 +59,8 @@ class LiftGraspOptions:
     """1/s: nearer to a point, speed per distance."""
     closing: Positive = 0.4
     """s for which the fingers close before the hand lifts."""
+    memory: bool = True
+    """If False, actions are functions of the observation, which a network without a memory can learn."""
 
 
 class Phase(Enum):
@@ -78,11 +87,14 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
         )
     chosen = changed_options(LiftGraspOptions(), options, "option of lift_grasp")
     tool = VerticalTool(ArmModel(env.robot), 0.0)
-    return PerWorld([LiftGrasp(tool, chosen) for _ in range(env.num_envs)])
+    kind = LiftGrasp if chosen.memory else MemorylessLiftGrasp
+    return PerWorld([kind(tool, chosen) for _ in range(env.num_envs)])
 
 
 class LiftGrasp:
     """Grasps and lifts with one arm."""
+
+    motion_type: ClassVar[type[ToolMotion]] = ToolMotion
 
     def __init__(self, tool: VerticalTool, options: LiftGraspOptions) -> None:
         self._tool, self._options = tool, options
@@ -107,7 +119,7 @@ class LiftGrasp:
             observation[: 16 + dof].astype(float), np.cumsum((3, dof, 1, 6, 1, 3))
         )
         if self._motion is None:
-            self._motion = ToolMotion(self._tool, CONTROL_PERIOD, q, point)
+            self._motion = self.motion_type(self._tool, CONTROL_PERIOD, q, point)
         hand = self._motion.read(q, point)
         self._readings += 1
         self._height += (float(height[0]) - self._height) / self._readings
@@ -115,12 +127,16 @@ class LiftGrasp:
             self._sight(np.append(place, axis))
         at = self._motion.at
         point = self._aim(at, hand, float(place[2]))
-        fastest = self._options.lift_speed if self._phase is Phase.LIFT else self._options.speed
-        self._motion.move(point, min(fastest, SLOWEST + self._options.slowing * float(np.linalg.norm(point - at))))
+        self._motion.move(point, self._speed(at, float(np.linalg.norm(point - at))))
         step = TURN_SPEED * CONTROL_PERIOD
         self._turn += float(np.clip(self._turn_goal - self._turn, -step, step))
         opened = self._phase in (Phase.OVER, Phase.DOWN)
         return np.append(self._motion.goal(self._turn), lift_table.OPENING if opened else 0.0)
+
+    def _speed(self, at: Array, distance: float) -> float:
+        """Return the hand's speed, m/s, at a point (3,) m with a distance (m) to go."""
+        fastest = self._options.lift_speed if self._phase is Phase.LIFT else self._options.speed
+        return min(fastest, SLOWEST + self._options.slowing * distance)
 
     def _sight(self, reading: Array) -> None:
         """Average a reading of the object, and keep to the pair of sides that was chosen first."""
@@ -158,3 +174,36 @@ class LiftGrasp:
             return at
         rise = self._height - self._object[2] + self._behind
         return np.append(place, lift_table.GRASP_HEIGHT + rise)
+
+
+class MemorylessLiftGrasp(LiftGrasp):
+    """Grasps and lifts with one arm by the present observation alone: places and the opening decide the phase."""
+
+    motion_type = MotionWithoutMemory
+
+    def act(self, observation: NDArray[np.float32]) -> Array:
+        """Return joint positions (dof,) to move to and the hand's opening, for the parts of `LIFT_OBSERVATION`."""
+        self.reset()
+        _, self._finger_opening, axes = np.split(
+            observation[: 10 + self._tool.model.dof].astype(float), (3 + self._tool.model.dof, 4 + self._tool.model.dof)
+        )
+        self._turn = self._turn_goal = hand_turn(self._tool, axes[3:])
+        return super().act(observation)
+
+    def _aim(self, at: Array, hand: Array, object_height: float) -> Array:
+        place, above = self._object[:2], hand[2] - object_height
+        aside, turn = float(np.hypot(*(hand[:2] - place))), abs(self._turn - self._turn_goal)
+        is_open = self._finger_opening > lift_table.GRIPPED
+        if aside < INSIDE and -INSIDE < above < (INSIDE if is_open else 2 * INSIDE):
+            self._phase = Phase.CLOSE if is_open else Phase.LIFT
+            return np.append(place, lift_table.GRASP_HEIGHT) if is_open else hand + (self._height - object_height) * UP
+        if not is_open or (aside > 2 * INSIDE and hand[2] < lift_table.APPROACH_HEIGHT - NEAR):
+            return np.append(hand[:2], lift_table.APPROACH_HEIGHT)
+        funnel = STEEPNESS * max(0.0, aside - NEAR / 2) + TURN_STEEPNESS * max(0.0, turn - ALIGNED)
+        return np.append(place, min(lift_table.APPROACH_HEIGHT, lift_table.GRASP_HEIGHT - 2 * NEAR + funnel))
+
+    def _speed(self, at: Array, distance: float) -> float:
+        if self._phase is not Phase.LIFT:
+            return max(DECISIVE_SPEED, super()._speed(at, distance))
+        gripping = 2 * SLOWEST + self._options.slowing * abs(float(at[2]) - lift_table.GRASP_HEIGHT)
+        return min(super()._speed(at, distance) + SLOWEST, gripping)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.control.tool_motion import ToolMotion
+from armctl.control.tool_motion import MotionWithoutMemory, ToolMotion
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, changed_options, options
@@ -148,21 +148,6 @@ class PushLine:
         speed = min(self._options.speed, max(SLOWEST, self._options.slowing * distance))
         move = speed * way - self._options.steering * across * np.array((-way[1], way[0]))
         return np.append(at[:2] + move * CONTROL_PERIOD, push_table.TOOL_HEIGHT), LIFT_SPEED
-
-
-class MotionWithoutMemory(ToolMotion):
-    """Motion of a tool that begins anew at each control step."""
-
-    def move(self, point: Array, speed: float) -> None:
-        """Move the tool's next place towards a point (3,) m at a speed (m/s), or to it from beyond the arm's reach."""
-        super().move(point, speed)
-        if self._tool.configuration(self.at - self._offset, self._q) is self._q:
-            self.at = point
-
-    def _velocity(self, q: Array) -> Array:
-        velocity = super()._velocity(q)
-        is_fast = (np.abs(velocity) > self._tool.model.limits.velocity).any()
-        return np.zeros_like(velocity) if is_fast else velocity  # it is to stop in a posture that is far away
 
 
 class MemorylessPushLine(PushLine):

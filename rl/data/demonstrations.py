@@ -109,7 +109,7 @@ def examples_for(training: Training, options: CloningOptions) -> Examples:
     task = training.held_out.task
     at_rest = isinstance(task, ReachTask) and not isinstance(task, ReachMovingTask)
     positions = at_rest and task.interface["control"] == "position"
-    positions = positions and "end_effector_position" in task.observation_parts()
+    positions = positions and {"end_effector_position", "target_position"} <= task.observation_parts().keys()
     return Examples(task, options.hindsight if positions else 0.0)
 
 

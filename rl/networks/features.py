@@ -16,6 +16,7 @@ from armctl.core.registration import import_attribute
 from armctl.rl.networks.bridge_ranges import ColumnRanges, FloorRanges, HeldNearnessFeatures, NearnessFeatures
 from armctl.rl.networks.bridge_scans import Surroundings
 from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, rotated
+from armctl.rl.networks.lift_features import LiftFeatures
 from armctl.rl.networks.link_box_features import LinkBoxFeatures
 from armctl.rl.networks.push_features import PushFeatures
 from armctl.scene import BOX_NUMBERS
@@ -117,6 +118,7 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "reach": ReachFeatures,
     "base_yaw_invariant": BaseYawInvariantFeatures,
     "links_among_boxes": LinkBoxFeatures,
+    "lift": LiftFeatures,
     "push": PushFeatures,
     "nearness": NearnessFeatures,
     "held_nearness": HeldNearnessFeatures,

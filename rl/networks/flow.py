@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from armctl.rl.networks.layers import hidden_layers
+from armctl.rl.networks.layers import hidden_layers, padded
 
 CHUNK, AGE = "chunk", "age"
 """Names of the memories: the actions of the present chunk that are still to come, and how many have been."""
@@ -87,4 +87,4 @@ class FlowNetwork(torch.nn.Module):
 
     def _base(self, observations: Any) -> Any:
         """Return what chunks are relative to, (n, 1, k) or 0."""
-        return 0.0 if self._relative_to is None else observations[:, None, self._relative_to]
+        return 0.0 if self._relative_to is None else padded(observations[:, self._relative_to], self._count)[:, None]

@@ -17,6 +17,12 @@ def hidden_layers(sizes: Sequence[int]) -> list[torch.nn.Module]:
     ]
 
 
+def padded(part: torch.Tensor, count: int) -> torch.Tensor:
+    """Return a part of an observation (n, k), followed by zeros: what `count` actions are relative to, (n, count)."""
+    others = count - part.shape[1]
+    return torch.nn.functional.pad(part, (0, others)) if others else part
+
+
 def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     """Return vectors (..., 3) rotated about the vertical by angles (..., 1), rad."""
     x, y, z = vectors.split(1, dim=-1)

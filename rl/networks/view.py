@@ -16,6 +16,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.rl.networks.actor import tensors
 from armctl.rl.networks.features import features_by_name, preparation_by_name
+from armctl.rl.networks.layers import padded
 
 Features = Literal["none", "plain", "invariant", "model", "robust"]
 MISSING = {"model": "that know the robot's geometry", "robust": "that sensor noise hardly changes"}
@@ -99,8 +100,10 @@ def view_of(env: TaskVectorEnv, *, features: Features = "plain", relative: bool 
         unit = np.ones(env.single_action_space.shape)
         scale = ActionScale(-unit, unit)
     elif relative and declared.relative_to is not None:
-        largest = np.full(env.single_action_space.shape, declared.largest_move)
-        scale = ActionScale(-largest, largest, declared.relative_to)
+        low, high = (np.array(bound) for bound in env.task.action_range)
+        count = declared.relative_to.stop - declared.relative_to.start
+        low[:count], high[:count] = -declared.largest_move, declared.largest_move
+        scale = ActionScale(low, high, declared.relative_to)
     else:
         scale = ActionScale(*env.task.action_range)
     state_features = None
@@ -117,7 +120,7 @@ def _space_of(values: torch.Tensor) -> gymnasium.spaces.Box:
 class ActionScale(torch.nn.Module):
     """Maps the network's actions in [-1, 1] to the environment's, between `low` and `high` (k,).
 
-    With `relative_to`, that part of the observation is added.
+    With `relative_to`, that part of the observation is added to the first actions, which are as many.
     """
 
     def __init__(self, low: NDArray[Any], high: NDArray[Any], relative_to: slice | None = None) -> None:
@@ -129,12 +132,15 @@ class ActionScale(torch.nn.Module):
     def forward(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
         """Return environment actions (n, k)."""
         scaled = self.middle + self.span * actions.clamp(-1, 1)
-        return scaled if self.relative_to is None else observations[:, self.relative_to] + scaled
+        return scaled if self.relative_to is None else self._origins(observations) + scaled
 
     def inverse(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
         """Return the network's actions (n, k), clamped to [-1, 1], for actions of the environment."""
-        scaled = actions if self.relative_to is None else actions - observations[:, self.relative_to]
+        scaled = actions if self.relative_to is None else actions - self._origins(observations)
         return ((scaled - self.middle) / self.span).clamp(-1, 1)
+
+    def _origins(self, observations: Any) -> torch.Tensor:
+        return padded(observations[:, self.relative_to], len(self.span))
 
 
 class Unscaled(torch.nn.Module):

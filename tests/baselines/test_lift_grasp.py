@@ -12,13 +12,28 @@ ENV = "armctl/ArmLift-v0"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("disturbances", [{}, {"noise": 0.01}])
-def test_lifts_the_object(disturbances):
+@pytest.mark.parametrize(
+    ("policy", "disturbances"), [("lift_grasp", {}), ("lift_grasp", {"noise": 0.01}), ("lift_grasp:memory=false", {})]
+)
+def test_lifts_the_object(policy, disturbances):
     options = {"disturbances": disturbances}
     played = armctl.evaluate(
-        "lift_grasp", ENV, episodes=10, worlds=10, seed=301, env_options=options, lower_bound_steps=False
+        policy, ENV, episodes=10, worlds=10, seed=301, env_options=options, lower_bound_steps=False
     )
     assert played["success"].sum() >= 9
+
+
+def test_without_memory_it_does_the_same_whatever_was_before():
+    env = make_worlds(ENV, 2, options={})
+    observations, _ = env.reset(seed=302)
+    led, fresh = make_policy("lift_grasp:memory=false", env), make_policy("lift_grasp:memory=false", env)
+    ids = np.arange(2, dtype=np.int32)
+    led.reset(ids)
+    for _ in range(40):
+        fresh.reset(ids)
+        actions = led.act(observations)
+        np.testing.assert_array_equal(actions, fresh.act(observations))
+        observations, *_ = env.step(actions)
 
 
 def test_begins_again_when_the_object_has_not_followed():

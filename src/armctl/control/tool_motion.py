@@ -44,3 +44,18 @@ class ToolMotion:
     def _velocity(self, q: Array) -> Array:
         """Return the velocity (dof,) of the way to `q` (dof,), rad/s."""
         return np.asarray((q - self._q) / self._period)
+
+
+class MotionWithoutMemory(ToolMotion):
+    """Motion of a tool that begins anew at each control step."""
+
+    def move(self, point: Array, speed: float) -> None:
+        """Move the tool's next place towards a point (3,) m at a speed (m/s), or to it from beyond the arm's reach."""
+        super().move(point, speed)
+        if self._tool.configuration(self.at - self._offset, self._q) is self._q:
+            self.at = point
+
+    def _velocity(self, q: Array) -> Array:
+        velocity = super()._velocity(q)
+        is_fast = (np.abs(velocity) > self._tool.model.limits.velocity).any()
+        return np.zeros_like(velocity) if is_fast else velocity  # it is to stop in a posture that is far away

@@ -22,6 +22,13 @@ def grasp_turn(tool: VerticalTool, place: Array, yaw: float) -> float:
     return float(neutral + (yaw - np.arctan2(closing[1], closing[0]) + quarter / 2) % quarter - quarter / 2)
 
 
+def hand_turn(tool: VerticalTool, closing: Array) -> float:
+    """Return the turn (rad) since home of a hand that closes along `closing` (3,), -pi to pi."""
+    home = tool.pose(tool.point(tool.model.home), 0.0)[:2, 1]
+    turn = np.arctan2(closing[1], closing[0]) - np.arctan2(home[1], home[0])
+    return float((turn + np.pi) % (2 * np.pi) - np.pi)
+
+
 def grasp_path(tool: VerticalTool, place: Array, yaw: float, height: float) -> tuple[Array, Array]:
     """Return points (k, 3) and turns (k,) from home over a box at a place (2,) m, down to it, and up to `height`."""
     turn, heights = grasp_turn(tool, place, yaw), (lift_table.APPROACH_HEIGHT, lift_table.GRASP_HEIGHT, height)

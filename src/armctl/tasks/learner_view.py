@@ -23,7 +23,7 @@ class LearnerView:
     """Features and relative actions for learners, as plain values from which they build networks."""
 
     relative_to: slice | None = None
-    """The part of the observation that actions may be relative to, if any."""
+    """The part of the observation that the first actions, as many, may be relative to, if any."""
     largest_move: float = 0.0
     """Bound on each component of a relative action."""
     features: FeatureSpec | None = None

@@ -23,7 +23,7 @@ from armctl.robots.hand import FINGERS, Hand, add_finger_motors, worlds_with_han
 from armctl.scene import lift_table, tabletop
 from armctl.simulation.box_geoms import BoxGeoms
 from armctl.simulation.contacts import ContactSensors
-from armctl.tasks.learner_view import LearnerView
+from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.lift.options import LiftOptions
 from armctl.tasks.lift.potentials import LiftDistance
 from armctl.tasks.lift.state import LIFT_FEATURES, LIFT_OBSERVATION, OPENING_SCALE, LiftState
@@ -36,6 +36,8 @@ from armctl.tasks.tabletop.tabletop import ATTEMPTS, OBJECT_HIGH, OBJECT_LOW, UN
 from armctl.tasks.tabletop.world import OBJECT
 from armctl.tasks.task import Outcome, Potential
 
+LARGEST_MOVE = 0.2
+"""rad: largest move of a joint in an action of a learner."""
 OPENING_MARGIN = 0.01
 """m beyond its limits within which the hand's opening always stays."""
 
@@ -89,11 +91,12 @@ class LiftTask(TabletopTask):
 
     @property
     def learner_view(self) -> LearnerView:
-        """The bare observation; actions may be relative to joint positions and opening, where these are observed."""
-        parts, dof = list(self.options.parts), self.arm.description.dof
-        if parts[:3] != list(LIFT_OBSERVATION)[:3] or self.arm.control != "position":
+        """Features of the observation `paper`, and actions of the arm relative to its joint positions."""
+        dof = self.arm.description.dof
+        if list(self.options.parts) != list(LIFT_OBSERVATION) or self.arm.control != "position":
             return LearnerView()
-        return LearnerView(relative_to=slice(3, 3 + dof + 1), largest_move=0.5)
+        features = FeatureSpec("lift", {"dof": dof})
+        return LearnerView(relative_to=slice(3, 3 + dof), largest_move=LARGEST_MOVE, features=features)
 
     def command(self, actions: Array) -> None:
         """Command actions (n, dof + 1): those of the arm, and the hand's opening, m."""
