@@ -8,6 +8,7 @@ in Gazebo, to within 1 m of a point, in at most 100 s: its published figures are
 """
 
 from contextlib import closing
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -26,7 +27,12 @@ POLICIES = "bridge_ompl,bridge_mpc,bridge_lidar_ompl,bridge_dwa,bridge_distil,ba
 WORLDS = 10
 
 
-def main(folder: str | None = None, policies: str = POLICIES, episodes: int = 300, seed: int = 305) -> None:
+def main(
+    folder: Annotated[str | None, typer.Argument(help="Folder of the challenge's static worlds.")] = None,
+    policies: str = POLICIES,
+    episodes: int = 300,
+    seed: int = 305,
+) -> None:
     """Play the same fields with each policy, and print a table."""
     names = policies.split(",")
     options = {"fields": folder} if folder else {}
@@ -45,7 +51,7 @@ def main(folder: str | None = None, policies: str = POLICIES, episodes: int = 30
             f"{(group.outcome == 'collided').mean():.1%}", f"{np.median(time[group.success]):.1f}",
             f"{score.mean():.3f}",
         )  # fmt: skip
-    show(table)
+    show(table, width=160)
 
 
 def shortest_times(options: dict[str, str], episodes: int, seed: int) -> np.ndarray:

@@ -93,8 +93,8 @@ def record_tuning() -> None:
     """Write on the cards what is recorded of the trials of their recipes."""
     for path in sorted((HOME / "agents").rglob("*.json")):
         card = read_card(path)
-        card = card.model_copy(update={"tuning": recorded_tuning(str(card.recipe))})
-        write_atomically(path, card.model_dump_json(indent=2) + "\n")
+        if card.tuning != (tuning := recorded_tuning(str(card.recipe))):
+            write_atomically(path, card.model_copy(update={"tuning": tuning}).model_dump_json(indent=2) + "\n")
 
 
 if __name__ == "__main__":
