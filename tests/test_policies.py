@@ -36,7 +36,7 @@ def no_policy(env):
 
 SEEN = dict.fromkeys(("reach_ik", "reach_mpc", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"), "model")
 SEEN |= dict.fromkeys(("moving_forecast", "moving_estimated", "bridge_cleaned"), "model")
-SEEN |= dict.fromkeys(("moving_robust_distil", "obstacles_robust_distil"), "model")
+SEEN |= dict.fromkeys(("moving_robust_distil", "obstacles_ppo", "obstacles_robust_distil"), "model")
 SEEN |= dict.fromkeys(("lift_grasp", "push_line", "reach_impedance", "reach_rate", "reach_ruckig"), "model")
 SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo"), "state")
 SEEN |= dict.fromkeys(("bridge_moving_state_ppo", "bridge_moving_imagined", "bridge_mppi", "bridge_orca"), "state")

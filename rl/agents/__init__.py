@@ -48,6 +48,11 @@ obstacles_plan_bc = _agent(
     "model",
 )
 push_bc = _agent("push_bc", "Behaviour cloning on `armctl/ArmPush-v0`, from `push_line` without its memory.")
+obstacles_ppo = _agent(
+    "obstacles_ppo",
+    "`obstacles_plan_bc`, improved by PPO; it sees the boxes, and knows where the arm's links are.",
+    "model",
+)
 bridge_state_ppo = _agent(
     "bridge_state_ppo", "PPO on `armctl/BridgeCross-v0`, without physics; it sees the true state.", "state"
 )

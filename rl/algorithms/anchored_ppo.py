@@ -114,14 +114,15 @@ class AnchoredPpo(PPO):
         clip = self.clip_range(self._current_progress_remaining)
         terms: list[list[float]] = []
         for batch in self._batches(self.n_epochs):
-            values, log_prob, entropy = self.policy.evaluate_actions(batch.observations, batch.actions)
+            values, actor = self._evaluate(batch.observations)
+            log_prob, entropy = actor.log_prob(batch.actions).sum(dim=1), actor.entropy().sum(dim=1)
             advantages = batch.advantages
             if len(advantages) > 1:
                 advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
             ratio = (log_prob - batch.old_log_prob).exp()
             gain = torch.min(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
             value_loss = (values.flatten() - batch.returns).square().mean()
-            distance = self.distance_from_anchor(batch.observations).mean()
+            distance = self._distance_of(actor, batch.observations).mean()
             loss = self.vf_coef * value_loss - gain - self.ent_coef * entropy.mean() + weight * distance
             self.policy.optimizer.zero_grad()
             loss.backward()
@@ -135,10 +136,20 @@ class AnchoredPpo(PPO):
 
     def distance_from_anchor(self, observations: Any) -> torch.Tensor:
         """Return the KL divergence (n,) of the actor from the anchor, as if their standard deviations were equal."""
+        return self._distance_of(self.policy.get_distribution(observations).distribution, observations)
+
+    def _distance_of(self, actor: torch.distributions.Normal, observations: Any) -> torch.Tensor:
         with torch.no_grad():
             anchor = self.anchor.get_distribution(observations).distribution
-        actor = self.policy.get_distribution(observations).distribution
         return ((actor.mean - anchor.mean) / anchor.stddev).square().sum(dim=1) / 2
+
+    def _evaluate(self, observations: Any) -> tuple[torch.Tensor, torch.distributions.Normal]:
+        """Return the critic's values (n, 1) and the actor's distribution, for which features are computed once."""
+        policy = self.policy
+        features = policy.extract_features(observations)
+        of_actor, of_critic = features if isinstance(features, tuple) else (features, features)
+        actor = policy._get_action_dist_from_latent(policy.mlp_extractor.forward_actor(of_actor))
+        return policy.value_net(policy.mlp_extractor.forward_critic(of_critic)), actor.distribution
 
     def _batches(self, epochs: int) -> Iterator[Any]:
         for _ in range(epochs):

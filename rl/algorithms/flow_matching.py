@@ -1,6 +1,6 @@
 """Flow matching of chunks of actions: a policy that draws its next actions from what a teacher would do.
 
-A network learns the velocity that carries noise to the demonstrated actions along straight lines (Lipman et al., "Flow
+A network learns to carry noise to the demonstrated actions along straight lines (Lipman et al., "Flow
 matching for generative modeling", ICLR 2023). The policy plans a chunk of actions by a few Euler steps, executes its
 first ones, and plans again (Chi et al., "Diffusion policy", RSS 2023; Black et al., "pi0", 2024). Where a teacher goes
 left or right, the mean of both is not among what it plans.
@@ -73,7 +73,7 @@ class FlowActor(Actor):
     """An actor that learns by flow matching."""
 
     def loss(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
-        """Return the mean squared error of velocities, at random times of the flow to chunks (n, length, k)."""
+        """Return the mean squared error of the ends, at random times of the flow to chunks (n, length, k)."""
         return self.network.loss(observations, actions)
 
 
@@ -92,7 +92,7 @@ def new_flow(training: Training, options: FlowOptions, examples: Any) -> FlowAct
     view, space = training.view, training.held_out.single_observation_space
     observations, actions = map(tensors, examples.draw(np.random.default_rng(training.seed), SAMPLES_OF_UNIT))
     network = FlowNetwork(
-        view.extractor(space), view.action_scale.relative_to, observations, actions,
+        view.extractor(space), view.action_scale, observations, actions,
         executed=options.executed, euler_steps=options.euler_steps, hidden=[options.hidden_units] * options.layers,
     )  # fmt: skip
     if options.latent == "drawn":

@@ -211,7 +211,7 @@ def test_installed_policies_declare_what_they_see():
     assert {name for name, sees in declared.items() if sees == "state"} == omniscient
     knowing = {"reach_ik", "reach_mpc", "reach_mppi", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"}
     knowing |= {"moving_forecast", "moving_estimated", "bridge_cleaned"}
-    knowing |= {"moving_robust_distil", "obstacles_robust_distil"}
+    knowing |= {"moving_robust_distil", "obstacles_ppo", "obstacles_robust_distil"}
     knowing |= {"bridge_dwa", "bridge_lidar_ompl", "bridge_pursuit"}
     knowing |= {"lift_grasp", "push_line", "reach_impedance", "reach_rate", "reach_ruckig"}
     assert {name for name, sees in declared.items() if sees == "model"} == knowing

@@ -9,7 +9,7 @@ from armctl.datasets.demonstrations import Demonstration
 from armctl.envs import make_worlds
 from armctl.rl.algorithms.flow_matching import Chunks, FlowActor, FlowOptions, train
 from armctl.rl.networks.flow import FlowNetwork
-from armctl.rl.networks.view import Unscaled
+from armctl.rl.networks.view import ActionScale, Unscaled
 from tests.rl.small_trainings import small
 
 
@@ -18,7 +18,8 @@ def network_of(observations, actions, **options):
     chosen = {"executed": 1, "euler_steps": 5, "hidden": [32, 32]} | options
     features = FlattenExtractor(space)
     features._features_dim = observations.shape[1]
-    return FlowNetwork(features, None, observations, actions, **chosen)
+    scale = ActionScale(*np.array((-2.0, 2.0))[:, None].repeat(actions.shape[2], axis=1))
+    return FlowNetwork(features, scale, observations, actions, **chosen)
 
 
 def test_where_teachers_go_left_or_right_a_flow_goes_one_way():
@@ -32,7 +33,7 @@ def test_where_teachers_go_left_or_right_a_flow_goes_one_way():
         network.loss(nothing[:256], sides[torch.randint(2000, (256,))]).backward()
         optimizer.step()
     ends = []
-    for latent in (-1.0, -0.3, 0.3, 1.0):
+    for latent in (-1.5, -0.7, 0.7, 1.5):
         network.latent.fill_(latent)
         ends.append(network(nothing[:1]).item())
     np.testing.assert_allclose(np.abs(ends), 1.0, atol=0.25)  # their mean is 0
