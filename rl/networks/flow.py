@@ -1,7 +1,7 @@
 """The network of a flow-matching policy: a flow over chunks of actions, and the present chunk as a memory.
 
-It predicts where the flow ends, from which the velocity follows: (end - place) / (1 - time). The velocity itself has the
-noise in it, which a small network passes on with errors that are larger than the accuracy that actions need.
+It predicts where the flow ends, from which the velocity follows: (end - place) / (1 - time). The velocity itself has
+the noise in it, which a small network passes on with errors that are larger than the accuracy that actions need.
 """
 
 from collections.abc import Sequence
