@@ -3,7 +3,7 @@
 A network learns to carry noise to the demonstrated actions along straight lines (Lipman et al., "Flow
 matching for generative modeling", ICLR 2023). The policy plans a chunk of actions by a few Euler steps, executes its
 first ones, and plans again (Chi et al., "Diffusion policy", RSS 2023; Black et al., "pi0", 2024). Where a teacher goes
-left or right, the mean of both is not among what it plans.
+left or right, the mean of both is not among what it plans from most latents.
 
 A policy draws nothing: its flow begins at a latent that is part of the agent, the same in each control step, so that it
 stays with a choice, and an episode is the same whenever it is played. See `FlowOptions.latent`.
@@ -43,8 +43,9 @@ class FlowOptions(BcOptions):
     """Control steps after which the next chunk is planned."""
     euler_steps: Count = 5
     """Steps from the latent to a chunk."""
-    latent: Literal["zero", "drawn"] = "drawn"
-    """Beginning of the flow: the middle of the noise, or a draw from it that depends on the training's seed."""
+    latent: Literal["zero", "drawn"] = "zero"
+    """Beginning of the flow: the middle of the noise, where actions are most accurate, or a draw from it that depends
+    on the training's seed."""
 
     def __post_init__(self) -> None:
         if self.executed > self.chunk:
