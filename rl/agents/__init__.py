@@ -47,6 +47,7 @@ obstacles_plan_bc = _agent(
     "Clone of plans on `armctl/ArmReachObstacles-v0`; it sees the boxes, and knows where the arm's links are.",
     "model",
 )
+lift_bc = _agent("lift_bc", "Behaviour cloning on `armctl/ArmLift-v0`, from `lift_grasp` without its memory.")
 push_bc = _agent("push_bc", "Behaviour cloning on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 obstacles_ppo = _agent(
     "obstacles_ppo",
