@@ -1,4 +1,5 @@
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,6 +77,7 @@ def test_every_field_can_be_passed_and_is_the_same_for_the_same_seed():
 
 @pytest.mark.parametrize("options", [{"dynamics": "kinematic", "observation": "ranges"}, {"camera": "depth"}])
 def test_what_is_seen_straight_ahead_is_the_first_block_of_the_map(options):
+    observations: Any
     with closing(make_worlds(ENV, 6, {"resolution": (49, 32), **options})) as env:
         observations, _ = env.reset(seed=1)
         if "ranges" in observations:
