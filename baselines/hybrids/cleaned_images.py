@@ -37,7 +37,7 @@ class CleanedOptions:
     """Standard deviation of the depths, m, above which images are cleaned."""
 
 
-@made_for("armctl/BridgeCross* armctl/BarnCross*", controls="rover")
+@made_for("armctl/BridgeCross*", controls="rover")
 @sees("model", family="cleaned images", kind="hybrid")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> "CleanedPolicy":
     """`bridge_moving_ppo` or `bridge_ppo`, with depth images from which a classical scanner has removed the noise."""

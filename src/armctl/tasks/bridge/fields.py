@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.core.errors import ConfigurationError
+from armctl.core.errors import ConfigurationError, reason
 
 CELLS, CELL = 30, 0.15
 """Number of cells along and across the field, and their side, m: the diameter of a cylinder."""
@@ -52,7 +52,7 @@ def read_blocks(path: Path) -> Array:
     try:
         places = np.array(CYLINDER.findall(path.read_text(encoding="utf-8")), dtype=float).reshape(-1, 2)
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"{path} cannot be read as a world of the BARN challenge: {error}") from error
+        raise ConfigurationError(f"{path} cannot be read as a world of the BARN challenge: {reason(error)}") from error
     if not len(places):
         raise ConfigurationError(f"{path} has no cylinders: it is no static world of the BARN challenge")
     column, row = np.rint((places - ORIGIN) / CELL).astype(int).T
