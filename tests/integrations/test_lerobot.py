@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +21,8 @@ from armctl.datasets.minari import read_demonstrations
 from armctl.envs import make_worlds
 from armctl.integrations.lerobot import dataset as lerobot
 from armctl.integrations.lerobot.stats import QUANTILES, aggregated, stats_of
+
+from ..command_line import full_disk
 
 LIBRARY = Path(sys.prefix) / "lerobot"
 """LeRobot, which cannot be installed beside armctl: `make .venv/lerobot`."""
@@ -264,18 +265,12 @@ def test_an_end_while_parts_are_moved_loses_nothing(interrupted, monkeypatch, mo
 
 @pytest.mark.parametrize("limit", [3_000, 30_000], ids=["the numbers do not fit", "the video does not fit"])
 def test_a_full_disk_is_an_error(tmp_path, limit):
-    """A limit on the size of files stands for the disk."""
     worlds = make_worlds(BRIDGE, 1, {"resolution": (64, 64)})
     rng = np.random.default_rng(0)
     steps = 40
     seen = {"image": rng.uniform(0, 10, (steps + 1, 64, 64)), "motion": rng.normal(size=(steps + 1, 3))}
     episode = Demonstration(seen, rng.normal(size=(steps, 2)), rng.normal(size=steps), True, False)
     about = json.loads(json.dumps(lerobot.describe(tmp_path, BRIDGE, {}, worlds)))
-    largest = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, largest[1]))
-    try:
-        with pytest.raises(OSError, match=r"as on a full disk|too large|Broken pipe"):
-            lerobot.write_dataset(tmp_path, [(episode, {})], about)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, largest)
+    with full_disk(limit), pytest.raises(OSError, match=r"as on a full disk|too large|Broken pipe"):
+        lerobot.write_dataset(tmp_path, [(episode, {})], about)
     assert not (tmp_path / lerobot.MANIFEST).exists()

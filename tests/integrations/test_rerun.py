@@ -1,6 +1,5 @@
 """A recording for Rerun, opened by Rerun's own reader, holds the episodes that were played."""
 
-import resource
 import sys
 from typing import Any
 
@@ -13,6 +12,8 @@ from armctl.episodes.failures import PolicyFailed
 from armctl.integrations.rerun import rerun_opener
 from armctl.viewer.stage import Stage
 from armctl.viewer.terminal import Outputs, run_episodes
+
+from ..command_line import full_disk
 
 ARM, BRIDGE = "armctl/ArmReachObstacles-v0", "armctl/BridgeCrossMoving-v0"
 STEPS = 8
@@ -174,13 +175,8 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_is_played(tmp_pat
 
 def test_a_full_disk_leaves_the_older_recording(tmp_path):
     (tmp_path / "p.rrd").write_text("older")
-    largest = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, largest[1]))
-    try:
-        with pytest.raises(ResultsError, match=r"p\.rrd cannot be written: File too large"):
-            record(tmp_path / "p.rrd", "random", "Pendulum-v1")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, largest)
+    with full_disk(2_000), pytest.raises(ResultsError, match=r"p\.rrd cannot be written: File too large"):
+        record(tmp_path / "p.rrd", "random", "Pendulum-v1")
     assert [(one.name, one.read_text()) for one in tmp_path.iterdir()] == [("p.rrd", "older")]
 
 
