@@ -23,7 +23,7 @@ from armctl.tasks.bridge import CONTROL_PERIOD
 from armctl.tasks.bridge.world import START_X
 
 ENV = "armctl/BarnCross-v0"
-POLICIES = "bridge_ompl,bridge_mpc,bridge_lidar_ompl,bridge_dwa,bridge_distil,barn_distil"
+POLICIES = "bridge_ompl,bridge_mpc,bridge_dwa,bridge_distil"
 WORLDS = 10
 
 
