@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.baselines.reach_task import checked_options
 from armctl.control.tool_motion import MotionWithoutMemory, ToolMotion
 from armctl.core.arrays import Array
-from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel
@@ -77,14 +77,7 @@ class Phase(Enum):
 @sees("model", family="scripted")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Scripted grasp: comes down over the object with the fingers along its sides, closes them, and lifts."""
-    if not isinstance(env.options, LiftOptions) or env.options.control != "position":
-        raise ConfigurationError(
-            "lift_grasp cannot play this task: use it with armctl/ArmLift-v0 and control 'position'"
-        )
-    if (parts := list(env.options.parts))[: len(LIFT_OBSERVATION)] != list(LIFT_OBSERVATION):
-        raise ConfigurationError(
-            f"lift_grasp reads the observation {', '.join(LIFT_OBSERVATION)}, not {', '.join(parts)}"
-        )
+    checked_options("lift_grasp", env, LiftOptions, "armctl/ArmLift-v0", LIFT_OBSERVATION, ["position"])
     chosen = changed_options(LiftGraspOptions(), options, "option of lift_grasp")
     tool = VerticalTool(ArmModel(env.robot), 0.0)
     kind = LiftGrasp if chosen.memory else MemorylessLiftGrasp

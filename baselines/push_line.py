@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from armctl.baselines.reach_task import checked_options
 from armctl.control.tool_motion import MotionWithoutMemory, ToolMotion
 from armctl.core.arrays import Array
-from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, changed_options, options
 from armctl.envs import ModelInterface
 from armctl.kinematics import ArmModel
@@ -74,18 +74,11 @@ class Phase(Enum):
 @sees("model", family="scripted")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Scripted push: comes down behind the object, pushes along the line, and begins again if it drifts off."""
-    if not isinstance(env.options, PushOptions) or env.options.control != "position":
-        raise ConfigurationError(
-            "push_line cannot play this task: use it with armctl/ArmPush-v0 and control 'position'"
-        )
-    if (parts := list(env.options.parts))[: len(PUSH_OBSERVATION)] != list(PUSH_OBSERVATION):
-        raise ConfigurationError(
-            f"push_line reads the observation {', '.join(PUSH_OBSERVATION)}, not {', '.join(parts)}"
-        )
+    task = checked_options("push_line", env, PushOptions, "armctl/ArmPush-v0", PUSH_OBSERVATION, ["position"])
     chosen = changed_options(PushLineOptions(), options, "option of push_line")
     tool = VerticalTool(ArmModel(env.robot), push_table.TOOL_LENGTH)
     kind = PushLine if chosen.memory else MemorylessPushLine
-    return PerWorld([kind(tool, env.options.tolerance, chosen) for _ in range(env.num_envs)])
+    return PerWorld([kind(tool, task.tolerance, chosen) for _ in range(env.num_envs)])
 
 
 class PushLine:

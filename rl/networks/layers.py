@@ -7,6 +7,9 @@ import torch
 
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
 
+OBJECT_SPEED_SCALE = 4.0, 4.0, 0.5
+"""s/m, s/m and s/rad: scale velocities of an object on a table to the order of one."""
+
 
 def hidden_layers(sizes: Sequence[int]) -> list[torch.nn.Module]:
     """Return linear layers between so many units, each followed by a rectifier."""
@@ -27,6 +30,23 @@ def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     """Return vectors (..., 3) rotated about the vertical by angles (..., 1), rad."""
     x, y, z = vectors.split(1, dim=-1)
     return torch.cat((angles.cos() * x - angles.sin() * y, angles.sin() * x + angles.cos() * y, z), dim=-1)
+
+
+def object_motion(velocity: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+    """Return the scaled velocity (n, 3) of an object on a table: x and y rotated back by `yaw` (n, 1), and its turn."""
+    scaled = velocity * torch.tensor(OBJECT_SPEED_SCALE)
+    return torch.cat((in_plane(scaled[:, :2], -yaw), scaled[:, 2:]), dim=1)
+
+
+def in_plane(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
+    """Return vectors (n, 2) rotated by angles (n, 1), rad."""
+    return rotated(torch.nn.functional.pad(vectors, (0, 1)), angles)[:, :2]
+
+
+def doubled(turn: torch.Tensor) -> torch.Tensor:
+    """Return cosine and sine (n, 2) of twice an angle, of which they are given: equal for two directions of a line."""
+    cosine, sine = turn.split(1, dim=1)
+    return torch.cat((cosine.square() - sine.square(), 2 * cosine * sine), dim=1)
 
 
 def in_first_joint_frame(

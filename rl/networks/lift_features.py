@@ -7,14 +7,12 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from armctl.rl.networks.layers import rotated
+from armctl.rl.networks.layers import doubled, in_plane, object_motion, rotated
 from armctl.scene import lift_table
 from armctl.tasks.reach.observation import LENGTH_SCALE
 
 SCALES = 0.05, 0.01
 """m: lengths that decide what to do next differ by so much; each is told on these scales too."""
-SPEED_SCALE = 4.0, 4.0, 0.5
-"""s/m, s/m and s/rad: scale velocities of the object to the order of one."""
 FINE_TURN = 0.2
 """Sine of four times an angle: the same for the turn to the object's sides."""
 DECISIVE, NUMBERS = 9, 17
@@ -27,7 +25,6 @@ class LiftFeatures(BaseFeaturesExtractor):
     def __init__(self, observation_space: spaces.Box, dof: int) -> None:
         super().__init__(observation_space, DECISIVE * (1 + len(SCALES)) + NUMBERS + 2 * (dof - 1))
         self.sizes = 3, dof, 1, 6, 1, 3, 2, 3
-        self.register_buffer("speed_scale", torch.tensor(SPEED_SCALE))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features (n, 44 + 2 (dof - 1)) of observations (n, 19 + dof)."""
@@ -43,10 +40,8 @@ class LiftFeatures(BaseFeaturesExtractor):
         )
         scaled = [LENGTH_SCALE * decisive, *((decisive / scale).tanh() for scale in SCALES)]
         axes = rotated(axes.unflatten(1, (2, 3)), -yaw[:, None]).flatten(1)
-        sides = rotated(torch.cat((axis, torch.zeros_like(yaw)), dim=1), -yaw)[:, :2]
-        turn = _doubled(_doubled(_turn(axes[:, 3:5], sides)))  # a box that is turned by a quarter is the same
-        moving = self.speed_scale * torch.cat((velocity[:, :2], torch.zeros_like(yaw)), dim=1)
-        moving = torch.cat((rotated(moving, -yaw)[:, :2], velocity[:, 2:] * self.speed_scale[2]), dim=1)
+        turn = doubled(doubled(_turn(axes[:, 3:5], in_plane(axis, -yaw))))  # quarter turns are alike
+        moving = object_motion(velocity, yaw)
         places = LENGTH_SCALE * torch.cat((hand, place[:, :2]), dim=1)
         posture = joints[:, 1:]
         turned = torch.cat((turn, (turn[:, 1:] / FINE_TURN).tanh()), dim=1)
@@ -57,8 +52,3 @@ def _turn(start: torch.Tensor, end: torch.Tensor) -> torch.Tensor:
     """Return cosine and sine (n, 2) of the turn from one direction (n, 2) to another."""
     cosine = (start * end).sum(dim=1, keepdim=True)
     return torch.cat((cosine, start[:, :1] * end[:, 1:] - start[:, 1:] * end[:, :1]), dim=1)
-
-
-def _doubled(turn: torch.Tensor) -> torch.Tensor:
-    cosine, sine = turn.split(1, dim=1)
-    return torch.cat((cosine.square() - sine.square(), 2 * cosine * sine), dim=1)

@@ -7,14 +7,12 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from armctl.rl.networks.layers import rotated
+from armctl.rl.networks.layers import doubled, in_plane, object_motion, rotated
 from armctl.scene import push_table
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
 
 FINE = 0.02
 """m: lengths that decide what to do next differ by so much; each is told on this scale too."""
-SPEED_SCALE = 4.0, 4.0, 0.5
-"""s/m, s/m and s/rad: scale velocities of the object to the order of one."""
 NUMBERS = 35
 """Count of features beside the joints'."""
 
@@ -25,7 +23,6 @@ class PushFeatures(BaseFeaturesExtractor):
     def __init__(self, observation_space: spaces.Box, dof: int) -> None:
         super().__init__(observation_space, NUMBERS + 2 * (dof - 1))
         self.sizes = 3, dof, 3, 3, 2, 3
-        self.register_buffer("speed_scale", torch.tensor(SPEED_SCALE))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features (n, 35 + 2 (dof - 1)) of observations (n, 14 + dof)."""
@@ -44,12 +41,8 @@ class PushFeatures(BaseFeaturesExtractor):
         lengths = LENGTH_SCALE * torch.cat((tool, place[:, :2], target[:, :2], behind, decisive), dim=1)
         fine = (decisive / FINE).tanh()
         finest = torch.cat((height, distance, apart), dim=1) / NEARBY
-        axis = rotated(torch.cat((axis, torch.zeros_like(yaw)), dim=1), -yaw)[:, :2]
-        turn = torch.stack(
-            (axis[:, 0] ** 2 - axis[:, 1] ** 2, 2 * axis[:, 0] * axis[:, 1]), dim=1
-        )  # half turns are alike
-        moving = self.speed_scale * torch.cat((velocity[:, :2], torch.zeros_like(yaw)), dim=1)
-        moving = torch.cat((rotated(moving, -yaw)[:, :2], velocity[:, 2:] * self.speed_scale[2]), dim=1)
+        turn = doubled(in_plane(axis, -yaw))  # half turns are alike
+        moving = object_motion(velocity, yaw)
         posture = joints[:, 1:]
         direction = to_behind / (apart + NEARBY)
         return torch.cat(

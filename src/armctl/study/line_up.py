@@ -47,9 +47,9 @@ class SuiteSize:
 
 
 FULL = SuiteSize(50, ("noise", "noise_on_state", "delay", "payload", "friction", "pushes", "mismatch"), (0.5, 1.0))
-"""Full suite, two levels of each disturbance: less than an hour on two cores."""
+"""Full suite, two levels of each disturbance."""
 QUICK = SuiteSize(350, ("delay",), (0.75,), one_of_each_kind=True)
-"""Quick suite: less than ten minutes on two cores.
+"""Quick suite.
 
 350 episodes show equivalence within 2 points in each of five tasks, if one policy fails in at most one of them, or each
 in another one."""
