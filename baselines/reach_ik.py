@@ -54,7 +54,7 @@ class ReachIkOptions:
     """Estimate joints, links, load, target and delay, where positions are commanded. False: average some readings."""
 
 
-@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: not torque")
+@made_for("armctl/ArmReach* armctl/ArmPose-v0 armctl/ArmScenes-v0", controls="arms: not torque")
 @sees("model", family="IK")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Pinocchio IK: the minimum-time collision-free configuration that reaches the target."""

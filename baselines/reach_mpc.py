@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_options, search_for, split
+from armctl.baselines.reach_task import boxes_reader, checked_options, planning, search_for, split
 from armctl.control.reach_mpc import ReachMpc, ReachMpcOptions
 from armctl.control.reach_problem import JointTrajectory
 from armctl.control.streaming import CommandStream
@@ -27,7 +27,6 @@ from armctl.kinematics.room import ROOM, moved_along, with_room
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.policies import PerWorld, made_for, sees
 from armctl.tasks import OBSERVATION, ReachOptions
-from armctl.tasks.reach import read_boxes
 
 
 @options
@@ -45,8 +44,6 @@ PASSING = 0.3
 """rad: largest joint error at which a posture on the way counts as passed."""
 WAY_POINTS = 25
 """Configurations on each straight motion of a way at which distances are measured."""
-CLEARANCES = (0.01, 0.0075, 0.005)
-"""m: clearance of planned ways, of the first and of later ones. Layouts are certified with the last."""
 ON_WAY = 0.05
 """Weight of a joint's distance from the posture ahead on a way, m^2/rad^2."""
 POSTURE_TOLERANCE = 0.02
@@ -58,33 +55,32 @@ WITHOUT_BOXES = ReachMpcExpertOptions(margin=0.01, influence_distance=0.06)
 """Nearer to the floor and to itself than an arm goes to boxes."""
 
 
-@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: position")
+@made_for("armctl/ArmReach* armctl/ArmPose-v0 armctl/ArmScenes-v0", controls="arms: position")
 @sees("model", family="MPC")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """MPC with OSQP on Pinocchio's kinematics: keeps joint limits and predicts the target's motion."""
     task = checked_options("reach_mpc", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, ["position"], poses=True)
-    configurations, parts = ReachabilityMap(ArmModel(env.robot)), list(task.parts)
-    search = search_for(configurations.model, task)
-    mpc = changed_options(AMONG_BOXES if "boxes" in parts else WITHOUT_BOXES, options, "option of reach_mpc")
+    configurations, usual = ReachabilityMap(ArmModel(env.robot)), AMONG_BOXES if boxes_reader(task) else WITHOUT_BOXES
+    search, mpc = search_for(configurations.model, task), changed_options(usual, options, "option of reach_mpc")
     clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
-    experts = [ReachWithMpc(configurations, search, task.tolerance, parts, mpc, clock) for clock in clocks]
+    experts = [ReachWithMpc(configurations, search, task, mpc, clock) for clock in clocks]
     return PerWorld(experts, prepared=mpc.prepared)
 
 
 class ReachWithMpc:
-    """Reaches with one arm, given an observation of these parts, in order."""
+    """Reaches with one arm."""
 
     def __init__(
         self,
         reachability_map: ReachabilityMap,
         search: MinimumTimeReach,
-        tolerance: float,
-        parts: list[str],
+        task: ReachOptions,
         options: ReachMpcExpertOptions,
         clock: Callable[[], int],
     ) -> None:
-        self._model, self._map, self._tolerance = reachability_map.model, reachability_map, tolerance
-        self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
+        self._model, self._map, self._tolerance = reachability_map.model, reachability_map, task.tolerance
+        self._moving, self._read_boxes = "target_velocity" in task.parts, boxes_reader(task)
+        self._clearances, self._effort = planning(task)
         self.mpc = ReachMpc(self._model, options)
         period = self.mpc.problem.period
         observer = ArmObserver(self._model, period, self._moving, clock)
@@ -132,7 +128,7 @@ class ReachWithMpc:
             return self._first_goal(extra)
         if self._is_stuck(distance):
             self._posture = self._chosen()
-            if not self._boxed:
+            if not self._read_boxes:
                 self._stream = self._plan = None
         if self._stream is None and not self._is_there(distance):
             return self._posture
@@ -143,7 +139,7 @@ class ReachWithMpc:
         targets = self._places(belief.target_ahead(self._ahead[:, 0]) - belief.tip_offset(self._arrival()))
         if self._guided:
             ahead = self._ahead_on_way(self._stream.position, self._posture)
-            targets, posture = self._model.positions(ahead), ahead[-1]
+            targets, posture = self._search.places(ahead), ahead[-1]
         self._plan = self.mpc.plan(self._stream.position, self._stream.velocity, targets, posture)
         return self._stream.goal(self._plan)
 
@@ -178,8 +174,8 @@ class ReachWithMpc:
 
     def _first_goal(self, extra: Array) -> Array:
         """Start towards a posture, without a full plan: looking the posture up takes time."""
-        if self._boxed:
-            self.mpc.surround(read_boxes(extra))
+        if self._read_boxes:
+            self.mpc.surround(self._read_boxes(extra))
         q, self._posture = self._belief.joints_ahead, self._chosen()
         self._stream = CommandStream(self._model.limits, self.mpc.problem.period, q)
         self._plan = self.mpc.begin(q, np.zeros_like(q), self._posture)
@@ -201,12 +197,14 @@ class ReachWithMpc:
         if len(self._axes.mean):
             place = self._places(target)
             entry = self._search.find(q, place, self._tolerance / 2)
-            return self._search.closest(place, q) if entry is None else entry.q
-        goal, self._guided, self._way = self._map.towards(target, q, self.mpc.model), False, []
+            goal = self._search.closest(place, q) if entry is None else entry.q
+        else:
+            goal = self._map.towards(target, q, self.mpc.model)
+        self._guided, self._way = False, []
         straight = self._posture is None and self.mpc.model.are_free(np.linspace(q, goal, WAY_POINTS)).all()
-        if not self._boxed or straight:
+        if not self._read_boxes or straight:
             return goal
-        way = self._way_to(target, q)
+        way = self._way_to(self._places(target), q)
         if not len(way):
             return goal
         if self._posture is not None:
@@ -219,10 +217,11 @@ class ReachWithMpc:
     def _way_to(self, target: Array, q: Array) -> Array:
         """Return a way (k, dof) from `q` (dof,) of the table, or a planned one where it has none; (0, dof) if none."""
         boxes, limits = self.mpc.model.boxes, self._model.limits
-        if not self._searches and len(way := self._map.way(target, q, boxes)):
+        if not self._searches and len(target) == 3 and len(way := self._map.way(target, q, boxes)):
             return way
-        clearance, self._searches = CLEARANCES[min(self._searches, len(CLEARANCES) - 1)], self._searches + 1
-        planner = ArmPlanner(self._model, ArmPlannerOptions(clearance=clearance, seed=self._searches))
+        clearance, self._searches = self._clearances[min(self._searches, len(self._clearances) - 1)], self._searches + 1
+        choice = ArmPlannerOptions(clearance=clearance, seed=self._searches, **self._effort)
+        planner = ArmPlanner(self._model, choice, self._search)
         return planner.plan(np.clip(q, limits.lower, limits.upper), target, self._tolerance, boxes).path[1:]
 
     def _ahead_on_way(self, q: Array, posture: Array) -> Array:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_options
+from armctl.baselines.reach_task import checked_options, planning, search_for, split
 from armctl.control.streaming import CommandStream, follow
 from armctl.control.trajectory import Trajectory, smooth
 from armctl.core.arrays import Array
@@ -37,8 +37,6 @@ from armctl.tasks import ReachObstaclesOptions
 from armctl.tasks.reach import CONTROL_PERIOD, read_boxes
 from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
 
-CLEARANCES = (0.01, 0.0075, 0.005)
-"""m, of the path: of the first plan, and of the next ones if it fails. Layouts are certified with the last."""
 GOALS = 32
 """Number of goals of the first plan, and added after each failure: the earliest ones may all be shut in."""
 SIGHT, BRAKING = 0.9, 0.6
@@ -84,17 +82,19 @@ class ReachOmplOptions:
     and without estimates."""
 
 
-@made_for("armctl/ArmReachObstacles-v0", controls="arms: position")
+@made_for("armctl/ArmReachObstacles-v0 armctl/ArmScenes-v0", controls="arms: position")
 @sees("model", family="OMPL")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """OMPL path around the obstacles, towards its farthest point in sight of the observed joints."""
     env_id = "armctl/ArmReachObstacles-v0"
     choice = changed_options(ReachOmplOptions(), options, "option of reach_ompl")
     controls = ["position", "velocity"] if choice.jerk_limited else ["position"]
-    task = checked_options("reach_ompl", env, ReachObstaclesOptions, env_id, OBSTACLES_OBSERVATION, controls)
-    setting = ArmModel(env.robot), task.tolerance, CONTROL_PERIOD
+    task = checked_options(
+        "reach_ompl", env, ReachObstaclesOptions, env_id, OBSTACLES_OBSERVATION, controls, poses=True
+    )
+    setting = ArmModel(env.robot), task, CONTROL_PERIOD
     if choice.jerk_limited:
-        return PerWorld([JerkLimitedReachOmpl(*setting, task.control) for _ in range(env.num_envs)])
+        return PerWorld([JerkLimitedReachOmpl(*setting) for _ in range(env.num_envs)])
     if not choice.prepared:
         return PerWorld([ReachOmpl(*setting) for _ in range(env.num_envs)])
     clocks = (functools.partial(env.control_step, i) for i in range(env.num_envs))
@@ -104,9 +104,10 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
 class ReachOmpl:
     """Reaches with one arm."""
 
-    def __init__(self, model: ArmModel, tolerance: float, period: float) -> None:
-        self._model, self._tolerance, self._period = model, tolerance, period
-        self._shapes = ArmShapes(model)
+    def __init__(self, model: ArmModel, task: ReachObstaclesOptions, period: float) -> None:
+        self._model, self._task, self._period = model, task, period
+        self._shapes, self._search = ArmShapes(model), search_for(model, task)
+        self._usual_clearances, self._effort = planning(task)
         self.reset()
 
     def reset(self) -> None:
@@ -115,8 +116,8 @@ class ReachOmpl:
         self._braking: EdgeChecker | None = None
         self._path = np.zeros((0, self._model.dof))
         self._since_plan, self._failures = REPLAN_STEPS, 0
-        self._clearances: tuple[float, ...] = CLEARANCES
-        self._radius = self._tolerance
+        self._clearances: tuple[float, ...] = self._usual_clearances
+        self._radius = self._task.tolerance
         self._drives: tuple[Array, Array] | None = None
 
     def plans(self) -> dict[str, Array]:
@@ -128,13 +129,16 @@ class ReachOmpl:
         return {"path": self._model.positions(points.transpose(1, 0, 2).reshape(-1, self._model.dof))}
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Return joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
-        dof, limits = self._model.dof, self._model.limits
-        _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        return self._step(np.clip(q, limits.lower, limits.upper), target, read_boxes(boxes))
+        """Return joint positions (dof,) to move to, for an observation (k,), which has the boxes last."""
+        _, q, target, boxes = split(self._search, observation)
+        limits = self._model.limits
+        return self._step(np.clip(q, limits.lower, limits.upper), target, self._read(boxes))
+
+    def _read(self, numbers: Array) -> Boxes:
+        return read_boxes(numbers, self._task.box_numbers)
 
     def _step(self, q: Array, target: Array, boxes: Boxes) -> Array:
-        """Return what to command (dof,) from `q` (dof,), and take note of it."""
+        """Return what to command (dof,) from `q` (dof,) to the place `target`, and take note of it."""
         goal = self._goal(q, target, boxes)
         position, velocity = self._driven(q)
         command = self._command(q, goal, position, velocity)
@@ -155,8 +159,8 @@ class ReachOmpl:
         """Plan a path from `q` (dof,): after each failure nearer to things, to more goals, and with another seed."""
         clearance, self._since_plan = self._clearances[min(self._failures, len(self._clearances) - 1)], 0
         tries = 1 + self._failures
-        options = ArmPlannerOptions(clearance=clearance, goals=GOALS * tries, seed=tries)
-        plan = ArmPlanner(self._model, options).plan(q, target, self._radius, boxes)
+        options = ArmPlannerOptions(clearance=clearance, goals=GOALS * tries, seed=tries, **self._effort)
+        plan = ArmPlanner(self._model, options, self._search).plan(q, target, self._radius, boxes)
         self._path, self._failures = plan.path, 0 if plan.solved else self._failures + 1
         self._sight, self._braking = (
             EdgeChecker(self._shapes, boxes, share * clearance, q) for share in (SIGHT, BRAKING)
@@ -217,33 +221,39 @@ class PreparedReachOmpl(ReachOmpl):
     and plans again when it knows better, and where it has arrived without reaching the target.
     """
 
-    def __init__(self, model: ArmModel, tolerance: float, period: float, clock: Callable[[], int]) -> None:
+    def __init__(self, model: ArmModel, task: ReachObstaclesOptions, period: float, clock: Callable[[], int]) -> None:
         self._belief = ArmObserver(model, period, clock=clock)
-        self._nominal, self._nominal_shapes = model, ArmShapes(model)
-        super().__init__(model, tolerance, period)
+        self._nominal = model, ArmShapes(model), search_for(model, task)
+        super().__init__(model, task, period)
 
     def reset(self) -> None:
         """Forget the plan, and all readings."""
         super().reset()
         self._belief.reset()
-        self._model, self._shapes = self._nominal, self._nominal_shapes
-        self._boxes, self._planned_for = StandingObjects(), np.zeros(0)
+        self._model, self._shapes, self._search = self._nominal
+        self._axes, self._boxes, self._planned_for = StandingObjects(), StandingObjects(), np.zeros(0)
         self._arrivals, self._errors = 0, np.zeros(self._model.num_segments)
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Return joint positions (dof,) to move to, for an observation (6 + dof + boxes,)."""
-        belief, dof = self._belief, self._model.dof
-        tip, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
-        belief.read(tip, q, target)
+        """Return joint positions (dof,) to move to, for an observation (k,), which has the boxes last."""
+        belief = self._belief
+        tip, q, target, boxes = split(self._search, observation)
+        belief.read(tip[:3], q, target[:3])
+        self._axes.read(target[3:])
         self._boxes.read(boxes)
         if len(self._path) == 0 and self._spread > WELL_KNOWN:
             command = belief.commanded
         else:
             self._reconsider(belief.joints_ahead)
-            command = self._step(belief.joints_ahead, belief.target, read_boxes(self._boxes.mean))
+            command = self._step(belief.joints_ahead, self._target, self._read(self._boxes.mean))
         command = command - belief.load_offset
         belief.send(command)
         return np.asarray(command)
+
+    @property
+    def _target(self) -> Array:
+        """The place to go to: a position, or a pose's."""
+        return np.concatenate((self._belief.target, self._axes.mean))
 
     @property
     def _spread(self) -> float:
@@ -253,7 +263,7 @@ class PreparedReachOmpl(ReachOmpl):
     def _reconsider(self, q: Array) -> None:
         """Drop a plan that was made with too wrong beliefs, or that has ended beside the target."""
         belief, end = self._belief, self._path[-1] if len(self._path) else q
-        facts = np.concatenate((belief.target, self._boxes.mean))
+        facts = np.concatenate((self._target, self._boxes.mean))
         if len(self._planned_for) and self._since_plan > REPLAN_STEPS:
             moved = np.cumsum((belief.length_errors - self._errors)[:, None] * self._model.segments(end), axis=0)
             has_arrived = len(self._path) > 0 and np.abs(q - end).max() < ARRIVED
@@ -269,12 +279,13 @@ class PreparedReachOmpl(ReachOmpl):
         largest = float(np.abs(self._errors).max())
         if largest > SAME_LENGTH:
             share = LENGTH_SHARES[self._failures // len(self._clearances) % len(LENGTH_SHARES)]
-            self._model = self._nominal.with_lengths(share * self._errors)
-            self._shapes = ArmShapes(self._model)
+            self._model = self._nominal[0].with_lengths(share * self._errors)
+            self._shapes, self._search = ArmShapes(self._model), search_for(self._model, self._task)
         reserve = min(max(RESERVED * self._spread, RESERVED_FOR_LINKS * largest), LARGEST_RESERVE)
-        farther = CLEARANCES[0] + reserve, CLEARANCES[0] + reserve / 2
-        self._clearances = (*farther, *CLEARANCES) if reserve > NO_RESERVE else CLEARANCES
-        self._radius = self._tolerance * NARROWER**self._arrivals
+        usual = self._usual_clearances
+        farther = usual[0] + reserve, usual[0] + reserve / 2
+        self._clearances = (*farther, *usual) if reserve > NO_RESERVE else usual
+        self._radius = self._task.tolerance * NARROWER**self._arrivals
 
     def _driven(self, q: Array) -> tuple[Array, Array]:
         """Return position and velocity (dof,) of the drives when the next command acts."""
@@ -287,10 +298,6 @@ class JerkLimitedReachOmpl(ReachOmpl):
     It is as fast as is free of collisions, since it cuts the path's corners.
     """
 
-    def __init__(self, model: ArmModel, tolerance: float, period: float, control: str) -> None:
-        self._control = control
-        super().__init__(model, tolerance, period)
-
     def reset(self) -> None:
         """Forget the plan, and the own commands."""
         super().reset()
@@ -298,12 +305,12 @@ class JerkLimitedReachOmpl(ReachOmpl):
         self._elapsed, self._lag = 0.0, np.zeros(self._model.dof)
 
     def act(self, observation: NDArray[np.float32]) -> Array:
-        """Return joint positions (dof,) to move to, or velocities, for an observation (6 + dof + boxes,)."""
-        dof, limits = self._model.dof, self._model.limits
-        _, q, target, boxes = np.split(observation.astype(float), (3, 3 + dof, 6 + dof))
+        """Return joint positions (dof,) to move to, or velocities, for an observation (k,) with the boxes last."""
+        limits = self._model.limits
+        _, q, target, boxes = split(self._search, observation)
         q = np.clip(q, limits.lower, limits.upper)
         if self._elapsed == 0.0:
-            self._plan(q, target, read_boxes(boxes))
+            self._plan(q, target, self._read(boxes))
             if len(self._path) > 1:
                 self._trajectory = smooth(limits, np.clip(self._path, limits.lower, limits.upper), self._is_free)
                 self._stream = CommandStream(limits, self._period, q)
@@ -315,9 +322,9 @@ class JerkLimitedReachOmpl(ReachOmpl):
                 self._trajectory = None
         if self._trajectory is None:
             goal = super().act(observation)
-            return goal if self._control == "position" else towards(goal, q, limits, self._period)
+            return goal if self._task.control == "position" else towards(goal, q, limits, self._period)
         state = self._trajectory.at(self._elapsed), self._trajectory.velocity_at(self._elapsed)
-        through = self._stream.goal_through if self._control == "position" else self._stream.velocity_through
+        through = self._stream.goal_through if self._task.control == "position" else self._stream.velocity_through
         return through(*state)
 
     def _is_free(self, trajectory: Trajectory) -> bool:

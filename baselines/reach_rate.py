@@ -39,7 +39,11 @@ class ReachRateOptions:
     """m."""
 
 
-@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: not torque", interface={"control": "velocity"})
+@made_for(
+    "armctl/ArmReach* armctl/ArmPose-v0 armctl/ArmScenes-v0",
+    controls="arms: not torque",
+    interface={"control": "velocity"},
+)
 @sees("model", family="resolved rate")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Resolved-rate control: the tip to the target around the base, by damped least squares; a floor."""

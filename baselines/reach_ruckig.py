@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armctl.baselines.reach_task import checked_options, search_for, split
+from armctl.baselines.reach_task import boxes_reader, checked_options, search_for, split
 from armctl.control.streaming import CommandStream
 from armctl.control.trajectory import JerkLimitedMotion, scaled
 from armctl.core.arrays import Array
@@ -27,7 +27,7 @@ from armctl.kinematics.room import ROOM, with_room
 from armctl.policies import PerWorld, made_for, sees
 from armctl.robot_description.joint_profiles import fly_by_setpoint
 from armctl.tasks import OBSERVATION, ReachOptions
-from armctl.tasks.reach import CONTROL_PERIOD, read_boxes
+from armctl.tasks.reach import CONTROL_PERIOD
 
 CONTROLS = ("position", "relative", "delta", "velocity")
 MARGIN = 0.95
@@ -63,24 +63,26 @@ class ReachRuckigOptions:
     jerk: Fraction = 1.0
 
 
-@made_for("armctl/ArmReach* armctl/ArmPose-v0", controls="arms: not torque", interface={"control": "velocity"})
+@made_for(
+    "armctl/ArmReach* armctl/ArmPose-v0 armctl/ArmScenes-v0",
+    controls="arms: not torque",
+    interface={"control": "velocity"},
+)
 @sees("model", family="Ruckig")
 def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({})) -> PerWorld:
     """Jerk-limited minimum-time motion to the configuration that gets there first, replanned on line by Ruckig."""
     task = checked_options("reach_ruckig", env, ReachOptions, "armctl/ArmReach-v0", OBSERVATION, CONTROLS, poses=True)
     shares = changed_options(ReachRuckigOptions(), options, "option of reach_ruckig")
-    search, parts = search_for(ArmModel(env.robot), task), list(task.parts)
-    return PerWorld([ReachRuckig(search, task.tolerance, task.control, parts, shares) for _ in range(env.num_envs)])
+    search = search_for(ArmModel(env.robot), task)
+    return PerWorld([ReachRuckig(search, task, shares) for _ in range(env.num_envs)])
 
 
 class ReachRuckig:
-    """Reaches with one arm, given an observation of these parts, in order."""
+    """Reaches with one arm."""
 
-    def __init__(
-        self, search: MinimumTimeReach, tolerance: float, control: str, parts: list[str], shares: ReachRuckigOptions
-    ) -> None:
-        self._search, self._tolerance, self._control = search, tolerance, control
-        self._moving, self._boxed = "target_velocity" in parts, "boxes" in parts
+    def __init__(self, search: MinimumTimeReach, task: ReachOptions, shares: ReachRuckigOptions) -> None:
+        self._search, self._tolerance, self._control = search, task.tolerance, task.control
+        self._moving, self._read_boxes = "target_velocity" in task.parts, boxes_reader(task)
         self._limits = scaled(search.model.limits, shares.velocity, shares.acceleration, shares.jerk)
         self.reset()
 
@@ -102,8 +104,8 @@ class ReachRuckig:
         if self._motion is None:
             self._motion = JerkLimitedMotion(self._limits, CONTROL_PERIOD, q)
             self._stream = CommandStream(self._model.limits, CONTROL_PERIOD, q)
-            if self._boxed:
-                self._model = self._model.among(read_boxes(extra))
+            if self._read_boxes:
+                self._model = self._model.among(self._read_boxes(extra))
         if readable:
             self._read(tip, q, target, extra)
         if self._steps_to_choice <= 0 and (self._choices == 0 or self._is_astray()):
@@ -151,7 +153,7 @@ class ReachRuckig:
 
     def _last_resort(self, motion: JerkLimitedMotion, early: Array, radius: float) -> "Entry":
         """Return a motion where none is free of collisions: among boxes none, elsewhere the earliest or nearest."""
-        if self._boxed:
+        if self._read_boxes:
             return Entry(motion.position, PATIENCE * self._choices)
         if len(early):
             return self._entry(motion, early[0], radius)[0]

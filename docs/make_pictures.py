@@ -39,6 +39,7 @@ for env_id, name, seed, steps, picture in (
     ("armctl/ArmPose-v0", "reach_ik", 3, 12, "arm_pose.png"),
     ("armctl/ArmPush-v0", "push_line", 3, 38, "arm_push.png"),
     ("armctl/ArmLift-v0", "lift_grasp", 5, 58, "arm_lift.png"),
+    ("armctl/ArmScenes-v0", "reach_ompl", 3, 28, "arm_scenes.png"),
     ("armctl/BarnCross-v0", "bridge_ompl", 3, 25, "barn.png"),
     (
         "armctl/ArmReachObstacles-v0",

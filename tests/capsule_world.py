@@ -22,7 +22,8 @@ class CapsuleWorld:
             far_end = second == FLOOR and on_joint(first) == 2
             pairs.append((f"{first} (far end)" if far_end else first, second))
         for i in range(len(boxes)):
-            turn = [np.cos(boxes.yaws[i] / 2), 0, 0, np.sin(boxes.yaws[i] / 2)]
+            turn = np.empty(4)
+            mujoco.mju_mat2Quat(turn, boxes.rotations[i].ravel())
             spec.worldbody.add_geom(
                 name=f"box {i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=boxes.centres[i], quat=turn,
                 size=boxes.half_sizes[i], **quiet,

@@ -19,6 +19,7 @@ ENVS = (
     "armctl/ArmPush-v0",
     "armctl/ArmReachMoving-v0",
     "armctl/ArmReachObstacles-v0",
+    "armctl/ArmScenes-v0",
     BRIDGE,
 )
 

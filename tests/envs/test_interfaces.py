@@ -23,6 +23,7 @@ INTERFACES = [
     *(("armctl/ArmLift-v0", {"observation": name}) for name in ("paper", "features", "full")),
     *(("armctl/ArmPose-v0", {"observation": name}) for name in ("paper", "features", "full")),
     *(("armctl/ArmPush-v0", {"observation": name}) for name in ("paper", "features", "full")),
+    *(("armctl/ArmScenes-v0", {"observation": name}) for name in ("paper", "features", "full")),
     ("armctl/BarnCross-v0", {"observation": "full"}),
     (REACH[0], {**LEARNER, "goal": True}),
     (REACH[0], {"control": "torque", "observation": "full", "actions": "normalized"}),

@@ -15,8 +15,8 @@ from armctl.tasks import Outcome, Task
 MODES = ("next_step", "same_step", "disabled")
 ENVS = (
     "armctl/ArmLift-v0", "armctl/ArmPose-v0", "armctl/ArmPush-v0", "armctl/ArmReach-v0",
-    "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", "armctl/BarnCross-v0", "armctl/BridgeCross-v0",
-    "armctl/BridgeCrossMoving-v0",
+    "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", "armctl/ArmScenes-v0", "armctl/BarnCross-v0",
+    "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0",
 )  # fmt: skip
 
 

@@ -159,7 +159,7 @@ def test_none_of_its_episodes_count_and_everything_says_why(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", OBSTACLES, BRIDGE]
+    "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", "ArmScenes-v0", OBSTACLES, BRIDGE]
 )
 def test_what_is_watched_holds_the_whole_state(env):
     worlds = make_worlds(env, 1, SMALL if env == BRIDGE else None)
@@ -312,7 +312,7 @@ def test_environments_of_others_are_watched_as_a_policy_is_made():
 
 
 @pytest.mark.parametrize(
-    "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", OBSTACLES, BRIDGE]
+    "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", "ArmScenes-v0", OBSTACLES, BRIDGE]
 )
 def test_installed_policies_write_nothing_as_they_are_made(env):
     """There is no false alarm."""

@@ -1,18 +1,20 @@
 import coal
 import numpy as np
+import pinocchio
 import pytest
 
 from armctl.core.errors import ConfigurationError
 from armctl.scene import NO_BOXES, Boxes
 
 
-def random_boxes(rng, count=5):
-    return Boxes(rng.uniform(-1, 1, (count, 3)), rng.uniform(0.02, 0.5, (count, 3)), rng.uniform(-4, 4, count))
+def random_boxes(rng, count=5, tilts=None):
+    return Boxes(rng.uniform(-1, 1, (count, 3)), rng.uniform(0.02, 0.5, (count, 3)), rng.uniform(-4, 4, count), tilts)
 
 
-def test_distances_are_those_of_coal_outside_and_negative_inside():
+@pytest.mark.parametrize("tilts", [None, np.array((0.0, 0.7, -2.0, 1.5, 3.0))])
+def test_distances_are_those_of_coal_outside_and_negative_inside(tilts):
     rng = np.random.default_rng(0)
-    boxes, points = random_boxes(rng), rng.uniform(-2, 2, (40, 10, 3))
+    boxes, points = random_boxes(rng, tilts=tilts), rng.uniform(-2, 2, (40, 10, 3))
     found = boxes.distances(points)
     assert found.shape == (40, 10, 5)
     for i, (centre, half_size, rotation) in enumerate(
@@ -32,6 +34,20 @@ def test_depth_is_to_the_nearest_face():
     np.testing.assert_allclose(
         box.distances(np.array([[0, 0, 0], [1.9, 0, 0], [0, 0.9, 0], [0, 0, 3.5]]))[:, 0], [-1, -0.1, -0.1, 0.5]
     )
+
+
+def test_a_box_is_turned_after_it_was_tilted():
+    yaw, tilt = 0.4, np.pi / 4
+    box = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.array((yaw,)), np.array((tilt,)))
+    turned, tilted = (pinocchio.utils.rotate(axis, angle) for axis, angle in (("z", yaw), ("y", tilt)))
+    np.testing.assert_allclose(box.rotations[0], turned @ tilted, atol=1e-12)
+    np.testing.assert_array_equal(box.numbers, [[0, 0, 0, 1, 1, 1, yaw, tilt]])
+
+
+@pytest.mark.parametrize("tilts", [np.zeros(2), np.full(1, np.nan)])
+def test_unusable_tilts_are_refused(tilts):
+    with pytest.raises(ConfigurationError, match="boxes"):
+        Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), tilts)
 
 
 def test_no_boxes_are_boxes_too():

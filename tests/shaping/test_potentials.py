@@ -22,6 +22,7 @@ def test_each_environment_names_its_oracles():
         "armctl/ArmReach-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachMoving-v0": ["distance", "ik", "mpc"],
         "armctl/ArmReachObstacles-v0": ["distance", "ik", "mpc", "ompl"],
+        "armctl/ArmScenes-v0": ["distance", "ik"],
         "armctl/BarnCross-v0": ["distance", "ompl", "people"],
         "armctl/BridgeCross-v0": ["distance", "ompl", "people"],
         "armctl/BridgeCrossMoving-v0": ["distance", "ompl", "people"],

@@ -22,6 +22,7 @@ PAIRS = [
     ("armctl/ArmReach-v0", "ik", "reach_ik"),
     ("armctl/ArmReach-v0", "mpc", "reach_ik"),
     ("armctl/ArmReachMoving-v0", "ik", "reach_ik"),
+    pytest.param("armctl/ArmScenes-v0", "ik", "reach_ompl", marks=pytest.mark.slow),
     pytest.param("armctl/ArmReachObstacles-v0", "ik", "reach_ompl", marks=pytest.mark.slow),
     ("armctl/ArmReachObstacles-v0", "ompl", "reach_ompl:prepared=false"),  # it has the potential's own path
     ("armctl/BridgeCross-v0", "distance", "bridge_ompl"),

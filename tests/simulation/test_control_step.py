@@ -23,6 +23,7 @@ CASES = [
     ("ArmLift-v0", {"control": "position", "disturbances": {"strength": 0.8}}),
     ("ArmPush-v0", {"control": "relative", "disturbances": {"payload": 1.0}}),
     ("ArmReachObstacles-v0", {"control": "delta", "solvable": False}),
+    ("ArmScenes-v0", {"solvable": False, "tolerance": 0.2, "angle_tolerance": 90.0}),
     ("BridgeCross-v0", SMALL),
     ("BridgeCrossMoving-v0", SMALL | {"disturbances": {"friction": 0.6}}),
 ]

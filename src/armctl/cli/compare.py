@@ -221,7 +221,7 @@ class SuiteRequest(StudyRequest):
         typer.Option(
             "--quick",
             help="One expert and one agent of each task, undisturbed and with delay: with two workers, five of the "
-            "nine tasks took 12 minutes.",
+            "ten tasks took 12 minutes.",
         ),
     ] = False
     episodes: Annotated[
@@ -246,7 +246,7 @@ def suite(request: SuiteRequest) -> None:
     `--policy mine.py:pd` plays too, in the tasks in whose first control step it can act; others are named with the
     reason.
 
-    With `--workers 2`, five of the nine tasks took 33 minutes. Every episode is written as it ends. After Ctrl-C, the
+    With `--workers 2`, five of the ten tasks took 33 minutes. Every episode is written as it ends. After Ctrl-C, the
     same command with the same `--out` resumes the suite. A task that fails is reported, and does not stop the others.
     """
     num_episodes = request.num_episodes(request.episodes, None)

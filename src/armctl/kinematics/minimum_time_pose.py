@@ -21,6 +21,8 @@ FIRST_STEP = 0.05
 """rad: joint step limit of the first linear program; a pose's ball is smaller than a position's."""
 REFINEMENTS = np.array((0.05, 0.05, 0.03, 0.02, 0.0))
 """rad: joint step limit in each linear program of `times`."""
+SHIFTS = np.concatenate([share * np.concatenate((np.eye(3), -np.eye(3))) for share in (0.5, 1.0)])
+"""Shares of the radius, along the axes of a pose's own frame, of poses around it."""
 EFFORT = MinimumTimeReachOptions(starts=0, refine_iterations=48)
 
 
@@ -64,6 +66,15 @@ class MinimumTimePose(MinimumTimeReach):
     def closest(self, centre: Array, q: Array) -> Array:
         """Return the configuration (dof,) nearest to `q`, in collision or not, whose pose is nearest to `centre`."""
         return self.ik.pose(self.pose(centre), q).closest
+
+    def around(self, centre: Array, radius: float) -> Array:
+        """Return the same pose moved along the axes of its own frame, by shares of `radius` (m)."""
+        steps = (radius * SHIFTS) @ self.pose(centre)[:3, :3].T
+        return np.concatenate((centre[:3] + steps, np.tile(centre[3:], (len(steps), 1))), axis=1)
+
+    def configurations(self, start: Array, centre: Array) -> Array:
+        """Return configurations (k, dof) with the end-effector in the pose, in collision or not, near `start`."""
+        return self.ik.pose(self.pose(centre), start, BRANCHES).solutions
 
     def at_centre(self, start: Array, centre: Array) -> Array:
         """Return collision-free configurations (k, dof) with the end-effector in the pose, the earliest first."""

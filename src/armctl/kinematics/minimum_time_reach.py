@@ -111,6 +111,17 @@ class MinimumTimeReach:
         """Return configurations (k, dof) in the sphere, in collision or not, those reached earliest from rest first."""
         return self._by_time(start, self._candidates(start, centre, radius, np.zeros(self.model.dof))[0])
 
+    def around(self, centre: Array, radius: float) -> Array:
+        """Return further places (k, m) within `radius` (m) of `centre` (m,), for goals where there is room; maybe none.
+
+        A position has configurations in many orientations, and needs no others.
+        """
+        return np.zeros((0, len(centre)))
+
+    def configurations(self, start: Array, centre: Array) -> Array:
+        """Return configurations (k, dof) with the end-effector at `centre`, in collision or not, near `start`."""
+        return self.model.nearest_turn(np.vstack(list(self.ik.configurations(centre))), start)
+
     def at_centre(self, start: Array, centre: Array) -> Array:
         """Return collision-free configurations (k, dof) with the end-effector at `centre`, the earliest first."""
         q = np.array(list(self.ik.free_configurations(centre))).reshape(-1, self.model.dof)

@@ -1,8 +1,9 @@
-"""Plans an arm's path around boxes until the end-effector is in a sphere: a straight motion if possible, else OMPL.
+"""Plans an arm's path around boxes to a target of the end-effector: a straight motion if possible, else OMPL.
 
 RRT-Connect (Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000) grows
-trees from the start and from configurations in the sphere. Shortcuts then straighten the path (Geraerts and Overmars,
-"Creating high-quality paths for motion planning", IJRR 2007). `EdgeChecker` checks edges continuously.
+trees from the start and from configurations in the sphere around the target: a sphere of positions, or of the places
+of poses if the search is a `MinimumTimePose`. Shortcuts then straighten the path (Geraerts and Overmars, "Creating
+high-quality paths for motion planning", IJRR 2007). `EdgeChecker` checks edges continuously.
 """
 
 import itertools
@@ -79,14 +80,16 @@ class ArmPlan:
 
 
 class ArmPlanner:
-    """Plans paths of one arm. Not thread-safe."""
+    """Plans paths of one arm to targets of its `search`, by default to positions. Not thread-safe."""
 
-    def __init__(self, model: ArmModel, options: ArmPlannerOptions | None = None) -> None:
+    def __init__(
+        self, model: ArmModel, options: ArmPlannerOptions | None = None, search: MinimumTimeReach | None = None
+    ) -> None:
         self.model, self.options = model, options or ArmPlannerOptions()
-        self._minimum_time, self._shapes = MinimumTimeReach(model), ArmShapes(model)
+        self._minimum_time, self._shapes = search or MinimumTimeReach(model), ArmShapes(model)
 
     def plan(self, start: ArrayLike, target: ArrayLike, tolerance: float, boxes: Boxes) -> ArmPlan:
-        """Plan from `start` (dof,) rad until the end-effector is within `tolerance` of `target` (3,), m.
+        """Plan from `start` (dof,) rad until the tip is within `tolerance` (m) of the place `target`, (3,) or (12,) m.
 
         Whatever is nearer to the arm at the start than twice the clearance must keep only half of that distance. The
         same arguments give the same path, and the number of steps is bounded.
@@ -98,7 +101,7 @@ class ArmPlanner:
         edges = EdgeChecker(self._shapes, boxes, self.options.clearance, origin)
         path, raw, searched = np.zeros((0, self.model.dof)), math.inf, False
         if edges.start_is_free:
-            if np.linalg.norm(self.model.position(origin) - centre) <= tolerance:
+            if np.linalg.norm(self._minimum_time.place(origin) - centre) <= tolerance:
                 path = origin[None]
             else:
                 goals = self._goals(edges, origin, centre, tolerance)
@@ -118,18 +121,26 @@ class ArmPlanner:
             origin = centre = radius = np.empty(0)
         if origin.shape != (self.model.dof,) or not self.model.within_limits(origin):
             raise ConfigurationError(f"start should be {self.model.dof} positions within the limits, not {start!r}")
-        if centre.shape != (3,) or radius.shape != () or not np.isfinite(centre).all() or not 0 < radius < math.inf:
+        if (
+            centre.shape != self._minimum_time.place(origin).shape
+            or radius.shape != ()
+            or not np.isfinite(centre).all()
+            or not 0 < radius < math.inf
+        ):
             raise ConfigurationError(
-                f"target and tolerance should be (x, y, z) and a radius above 0, not {target!r} and {tolerance!r}"
+                f"target and tolerance should be (x, y, z), or the place of a pose, and a radius above 0, "
+                f"not {target!r} and {tolerance!r}"
             )
         return origin, centre
 
     def _goals(self, edges: EdgeChecker, start: Array, centre: Array, radius: float) -> Iterator[Array]:
-        """Yield free configurations (dof,) in the sphere, those reached earliest first."""
-        q = np.vstack(list(self._minimum_time.ik.configurations(centre)))
-        q = self._by_time(start, self.model.nearest_turn(q, start))
-        earliest = self._minimum_time.refined(start, q[: self.options.goals], centre, INSIDE * radius)[0]
-        free = filter(edges.is_free, self._by_time(start, np.vstack((earliest, q))))
+        """Yield free configurations (dof,) in the sphere, the earliest first, then those around the centre."""
+        search, inside = self._minimum_time, INSIDE * radius
+        q = self._by_time(start, search.configurations(start, centre))
+        earliest = search.refined(start, q[: self.options.goals], centre, inside)[0]
+        beside = (self._by_time(start, search.configurations(start, at)) for at in search.around(centre, inside))
+        groups = itertools.chain((self._by_time(start, np.vstack((earliest, q))),), beside)
+        free = filter(edges.is_free, itertools.chain.from_iterable(groups))
         return itertools.islice(free, self.options.goals)
 
     def _by_time(self, start: Array, q: Array) -> Array:

@@ -6,6 +6,7 @@ number of collision checks, never a time: a label is the same on every machine.
 """
 
 import itertools
+from collections.abc import Iterable
 from typing import Annotated
 
 import numpy as np
@@ -51,8 +52,12 @@ class PathCertificate:
 
         (0, dof) if none was found within the budget. The same arguments give the same path.
         """
+        return self.path_to(self._ik.free_configurations(target), start, boxes)
+
+    def path_to(self, configurations: Iterable[Array], start: Array, boxes: Boxes) -> Array:
+        """Return the same to one of `configurations` (dof,), the first of which are tried."""
         edges = EdgeChecker(self._shapes, boxes, self.options.clearance, start)
-        free = filter(edges.is_free, self._ik.free_configurations(target))
+        free = filter(edges.is_free, configurations)
         goals = list(itertools.islice(free, self.options.goals))
         if not goals or not edges.start_is_free:
             return np.zeros((0, self.model.dof))

@@ -129,7 +129,7 @@ def load_arm(
     srdf: str | Path | None = None,
     **options: Unpack[OverrideOptions],
 ) -> ArmDescription:
-    """Read an arm by name (`ur3`, `ur5`, `ur10`, `z1`, `panda`, `xarm7`) or from a file: URDF, xacro or MJCF.
+    """Read an arm by name (one of `BUILTIN_ARMS`) or from a file: URDF, xacro or MJCF.
 
     `menagerie:NAME` is a robot of MuJoCo Menagerie, which the package mujoco-menagerie fetches.
 

@@ -1,11 +1,12 @@
-"""The arms that come with armctl, from example-robot-data."""
+"""The arms that come with armctl, from example-robot-data, and one on a mount of its own, from `models`."""
 
 from dataclasses import dataclass
+from importlib import resources
 
 
 @dataclass(frozen=True)
 class BuiltinArm:
-    """Additions of armctl to the URDF of an arm from example-robot-data."""
+    """Additions of armctl to the URDF of an arm, whose path is relative to example-robot-data's robots, or absolute."""
 
     urdf: str
     srdf: str
@@ -17,6 +18,7 @@ class BuiltinArm:
 MAX_ACCELERATION = 15.0
 """rad/s^2: default, as URDFs have no such limit; about what its effort allows a stretched-out UR5"""
 
+_MODELS = resources.files("armctl.models")
 _UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 
 BUILTIN_ARMS = {
@@ -25,6 +27,13 @@ BUILTIN_ARMS = {
     )
     for name in ("ur3", "ur5", "ur10")
 } | {
+    "ur5_robotiq85": BuiltinArm(
+        str(_MODELS / "ur5_robotiq85.urdf"),
+        str(_MODELS / "ur5_robotiq85.srdf"),
+        "tool",
+        (1.57, -1.5707, 0.0, -1.5707, -1.57, 3.14),
+        9.5,  # what the shoulder's effort allows with the gripper, stretched out
+    ),
     "z1": BuiltinArm(
         "z1_description/urdf/z1.urdf",
         "z1_description/srdf/z1.srdf",

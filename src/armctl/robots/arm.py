@@ -116,6 +116,12 @@ class Arm:
         """Maker of worlds in which such arms are driven alike, by themselves: they do not stop at targets."""
         return functools.partial(_driven, description=self.description, control=self.control, period=self.period)
 
+    def place(self, world: int, q: Array) -> None:
+        """Put a world's arm at rest at `q` (dof,), where its drives hold it."""
+        self._positions[world, self._columns] = q
+        if self.control != "torque":
+            self._command[world] = q
+
     def command(self, actions: Array) -> None:
         """Set actions (n, dof), clipped to their bounds."""
         setpoints = np.clip(actions, self.action_low, self.action_high, out=self.drives.setpoints)

@@ -10,11 +10,13 @@ from armctl.core.errors import ConfigurationError
 
 BOX_NUMBERS = 7
 """Numbers of a box: centre (3) and half sizes (3), m, and yaw, rad. Half sizes of 0: there is none."""
+TILTED_BOX_NUMBERS = 8
+"""Numbers of a box that may be tilted: the same, and its tilt, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """k boxes, rotated about the vertical only; lengths in m."""
+    """k boxes, rotated about the vertical, maybe after a tilt about their own y axis; lengths in m."""
 
     centres: Array
     """(k, 3)"""
@@ -22,12 +24,15 @@ class Boxes:
     """(k, 3)"""
     yaws: Array
     """(k,) rad"""
+    tilts: Array | None = None
+    """(k,) rad; None: all upright."""
 
     def __post_init__(self) -> None:
-        shapes = [np.shape(self.centres), np.shape(self.half_sizes), np.shape(self.yaws)]
-        if shapes != [(len(self.yaws), 3), (len(self.yaws), 3), (len(self.yaws),)]:
+        angles = (self.yaws,) if self.tilts is None else (self.yaws, self.tilts)
+        shapes = [np.shape(self.centres), np.shape(self.half_sizes), *map(np.shape, angles)]
+        if shapes != [(len(self.yaws), 3), (len(self.yaws), 3), *[(len(self.yaws),)] * len(angles)]:
             raise ConfigurationError(f"boxes should have arrays of shapes (k, 3), (k, 3) and (k,), not {shapes}")
-        numbers = np.concatenate([np.ravel(self.centres), np.ravel(self.half_sizes), np.ravel(self.yaws)])
+        numbers = np.concatenate([np.ravel(self.centres), np.ravel(self.half_sizes), *map(np.ravel, angles)])
         if not (np.isfinite(numbers).all() and (self.half_sizes > 0).all()):
             raise ConfigurationError("boxes should have finite numbers and half sizes above 0")
 
@@ -36,13 +41,19 @@ class Boxes:
 
     @property
     def numbers(self) -> Array:
-        """(k, `BOX_NUMBERS`)."""
-        return np.column_stack((self.centres, self.half_sizes, self.yaws))
+        """(k, `BOX_NUMBERS`), or (k, `TILTED_BOX_NUMBERS`) with tilts."""
+        columns = (self.centres, self.half_sizes, self.yaws)
+        return np.column_stack(columns if self.tilts is None else (*columns, self.tilts))
 
     @property
     def rotations(self) -> Array:
         """Rotation matrices from each box's own frame to the world's, (k, 3, 3)."""
-        return rotations_about_vertical(self.yaws)
+        upright = rotations_about_vertical(self.yaws)
+        if self.tilts is None:
+            return upright
+        sine, cosine, zero, unit = np.sin(self.tilts), np.cos(self.tilts), 0 * self.tilts, 1 + 0 * self.tilts
+        tilted = np.array([[cosine, zero, sine], [zero, unit, zero], [-sine, zero, cosine]])
+        return np.asarray(upright @ tilted.transpose(2, 0, 1))
 
     def distances(self, points: ArrayLike) -> Array:
         """Return signed distances of points (..., 3) from the boxes' surfaces, (..., k) m: negative inside."""

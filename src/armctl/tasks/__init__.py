@@ -33,8 +33,11 @@ if TYPE_CHECKING:
         ReachOutcome,
         ReachPoseOptions,
         ReachPoseTask,
+        ReachScenesOptions,
+        ReachScenesTask,
         ReachState,
         ReachTask,
+        ScenesReachState,
     )
     from armctl.tasks.task import (
         EachStep,
@@ -86,9 +89,12 @@ __all__ = [
     "ReachOutcome",
     "ReachPoseOptions",
     "ReachPoseTask",
+    "ReachScenesOptions",
+    "ReachScenesTask",
     "ReachState",
     "ReachTask",
     "RewardTerms",
+    "ScenesReachState",
     "Task",
 ]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Arms that reach: for a target at rest, for a moving target, and around obstacles."""
+"""Arms that reach: for a target at rest, for a moving target, for a pose, and around obstacles."""
 
 from typing import TYPE_CHECKING
 
@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from armctl.tasks.reach.options import ReachOptions
     from armctl.tasks.reach.pose import PoseReachState, ReachPoseOptions, ReachPoseTask
     from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
+    from armctl.tasks.reach.scenes import ReachScenesOptions, ReachScenesTask, ScenesReachState
     from armctl.tasks.reach.state import REWARD, ReachState
 
 __all__ = [
     "CONTROL_PERIOD", "OBSERVATION", "REWARD", "MovingReachState", "ObstaclesReachState", "PoseReachState",
     "ReachMovingOptions", "ReachMovingTask", "ReachObstaclesOptions", "ReachObstaclesTask", "ReachOptions",
-    "ReachOutcome", "ReachPoseOptions", "ReachPoseTask", "ReachState", "ReachTask", "observation_sizes",
-    "observation_slices", "read_boxes",
+    "ReachOutcome", "ReachPoseOptions", "ReachPoseTask", "ReachScenesOptions", "ReachScenesTask", "ReachState",
+    "ReachTask", "ScenesReachState", "observation_sizes", "observation_slices", "read_boxes",
 ]  # fmt: skip
 
 __getattr__, __dir__ = on_first_use(__name__)

@@ -10,8 +10,10 @@ import functools
 import io
 import math
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +25,7 @@ from armctl.robot_description import ArmDescription
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 
+T = TypeVar("T")
 POOL_FILE = Path(__file__).with_name("layout_pool.npz")
 FORMAT = 2
 """Format number of the file."""
@@ -79,10 +82,7 @@ class LayoutPool:
     @functools.cached_property
     def boxes(self) -> NDArray[np.float32]:
         """(k, `MAX_OBSTACLES`, `BOX_NUMBERS`); zeros for absent boxes."""
-        boxes = np.zeros((len(self.counts), MAX_OBSTACLES, BOX_NUMBERS), dtype=np.float32)
-        boxes[np.arange(MAX_OBSTACLES) < self.counts[:, None]] = self.packed
-        boxes.setflags(write=False)
-        return boxes
+        return unpacked(self.counts, self.packed, MAX_OBSTACLES)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -109,10 +109,23 @@ class LayoutPool:
             rows = self._certified.get(part, ())
             return int(rows[episode]) if solvable and episode < len(rows) else -1
         rows = (self._certified if solvable else self.parts)[part]
-        first, stride = np.random.SeedSequence(seed).generate_state(2).tolist()
-        while math.gcd(stride, len(rows)) > 1:
-            stride += 1
-        return int(rows[(first + stride * episode) % len(rows)])
+        return int(rows[place_in_order(seed, episode, len(rows))])
+
+
+def unpacked(counts: NDArray[np.uint8], packed: NDArray[np.float32], max_boxes: int) -> NDArray[np.float32]:
+    """Return boxes (k, max_boxes, numbers), read-only, zeros for absent ones, from `counts` (k,) and all in a row."""
+    boxes = np.zeros((len(counts), max_boxes, packed.shape[1]), dtype=np.float32)
+    boxes[np.arange(max_boxes) < counts[:, None]] = packed
+    boxes.setflags(write=False)
+    return boxes
+
+
+def place_in_order(seed: int, episode: int, count: int) -> int:
+    """Return which of `count` things an episode gets: a seed has an order of its own, and starts again after all."""
+    first, stride = np.random.SeedSequence(seed).generate_state(2).tolist()
+    while math.gcd(stride, count) > 1:
+        stride += 1
+    return int((first + stride * episode) % count)
 
 
 def part_of(seed: int) -> str:
@@ -154,6 +167,18 @@ def write_pool(pool: LayoutPool, path: Path) -> None:
 
 def read_pool(path: Path) -> LayoutPool:
     """Read a pool's file. Raises `ConfigurationError` if it is missing or damaged."""
+
+    def pool_of(values: dict[str, Any]) -> LayoutPool:
+        return LayoutPool(**values | {"robot": str(values["robot"]), "tolerance": float(values["tolerance"])})
+
+    return read_shipped(path, FORMAT, pool_of)
+
+
+def read_shipped(path: Path, number: int, make: Callable[[dict[str, Any]], T]) -> T:
+    """Return what `make` makes of the arrays in a file with the format `number`, by their names.
+
+    Raises `ConfigurationError` if the file is missing or damaged.
+    """
     try:
         content = io.BytesIO(bounded_bytes(path, LARGEST_POOL))
         with zipfile.ZipFile(content) as archive:
@@ -161,9 +186,9 @@ def read_pool(path: Path) -> LayoutPool:
                 raise ValueError("its arrays are too large")
         with np.load(content, allow_pickle=False) as arrays:
             values = dict(arrays)
-        if (number := values.pop("format")) != FORMAT:
-            raise ValueError(f"it has format {number}, not {FORMAT}")
-        return LayoutPool(**values | {"robot": str(values["robot"]), "tolerance": float(values["tolerance"])})
+        if (other := values.pop("format")) != number:
+            raise ValueError(f"it has format {other}, not {number}")
+        return make(values)
     except Exception as error:  # what zipfile and numpy raise for damaged files is not documented
         raise ConfigurationError(f"the layouts in {path} cannot be read ({error}): install armctl again") from error
 

@@ -50,22 +50,26 @@ AWAY = (0.0, 0.0, -9.0)
 """m, position of unused boxes."""
 
 
-def _boxes_ahead(state: "ObstaclesReachState") -> Array:
-    """Return each box as its centre, its offset from the target, half sizes, and sine and cosine of twice its yaw."""
-    numbers = state.boxes.reshape(len(state.boxes), -1, BOX_NUMBERS)
+def boxes_ahead(state: "ObstaclesReachState") -> Array:
+    """Return each box as its centre, its offset from the target, half sizes, and sine and cosine of twice its yaw.
+
+    Of boxes that may be tilted, there are also the horizontal parts of their own vertical axis.
+    """
+    numbers = state.boxes
     centres, targets = numbers[..., :3], state.target_position[:, None]
     places = [rotated(points, -state.base_yaw) for points in (centres, centres - targets)]
-    yaws = 2 * (numbers[..., 6:] - state.base_yaw[:, None, None])
-    ahead = np.concatenate((*places, numbers[..., 3:6], np.sin(yaws), np.cos(yaws)), axis=-1)
-    ahead[..., :-2] *= LENGTH_SCALE
+    yaws, tilts = numbers[..., 6:7] - state.base_yaw[:, None, None], numbers[..., 7:]
+    lean = np.sin(tilts) * np.cos(yaws), np.sin(tilts) * np.sin(yaws)
+    lengths = LENGTH_SCALE * np.concatenate((*places, numbers[..., 3:6]), axis=-1)
+    ahead = np.concatenate((lengths, np.sin(2 * yaws), np.cos(2 * yaws), *lean), axis=-1)
     return np.where((numbers[..., 3:6] > 0).all(axis=-1, keepdims=True), ahead, 0.0).reshape(len(numbers), -1)
 
 
-BOXES: Term = lambda state: state.boxes  # noqa: E731
+BOXES: Term = lambda state: state.boxes.reshape(len(state.boxes), -1)  # noqa: E731
 OBSTACLES_OBSERVATION: Mapping[str, Term] = {**OBSERVATION, "boxes": BOXES}
 OBSTACLES_OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
     "paper": OBSTACLES_OBSERVATION,
-    "features": {**FEATURES, "boxes_ahead": _boxes_ahead},
+    "features": {**FEATURES, "boxes_ahead": boxes_ahead},
     "full": {**OBSTACLES_OBSERVATION, **HIDDEN},
 }
 """The parts of each named observation, in order."""
@@ -97,7 +101,7 @@ class ObstaclesReachState(ReachState):
     """The state, and obstacles and contacts."""
 
     boxes: Array
-    """(n, `MAX_OBSTACLES` * `BOX_NUMBERS`), box by box; zeros for absent boxes."""
+    """(n, `max_boxes`, `box_numbers`) of the task's options; zeros for absent boxes."""
     contacts: NDArray[np.bool_]
     """(n, `TOUCHED`) what the arm has touched since the last control step."""
     collided: NDArray[np.bool_]
@@ -117,6 +121,8 @@ class ReachObstaclesOptions(ReachOptions):
 
     observations: ClassVar[Mapping[str, Mapping[str, Term]]] = OBSTACLES_OBSERVATIONS
     has_goals: ClassVar[bool] = False
+    max_boxes: ClassVar[int] = MAX_OBSTACLES
+    box_numbers: ClassVar[int] = BOX_NUMBERS
 
 
 class ReachObstaclesTask(ReachTask):
@@ -124,10 +130,12 @@ class ReachObstaclesTask(ReachTask):
 
     options: ReachObstaclesOptions
     options_type: ClassVar[type[Any]] = ReachObstaclesOptions
+    state_type: ClassVar[type[Any]] = ObstaclesReachState
+    state: ObstaclesReachState
     possible_outcomes = (ReachOutcome.REACHED, ReachOutcome.TIMEOUT, ReachOutcome.COLLIDED)
     units: ClassVar[Mapping[str, str]] = {**ReachTask.units, "boxes": "centres and half sizes, m; yaw, rad"}
     instruction = "Move the end-effector to the target without touching the obstacles."
-    default_policies = (
+    default_policies: ClassVar[tuple[str, ...]] = (
         "reach_ompl",
         "reach_ik",
         "obstacles_imagined",
@@ -137,7 +145,7 @@ class ReachObstaclesTask(ReachTask):
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**ReachTask.potentials, "ompl": PathCostToGo}
 
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
-        self._boxes = np.zeros((n, MAX_OBSTACLES, BOX_NUMBERS))
+        self._boxes = np.zeros((n, options.max_boxes, options.box_numbers))
         super().__init__(n, options, threads)
 
     @property
@@ -150,11 +158,11 @@ class ReachObstaclesTask(ReachTask):
 
     def boxes(self, world: int) -> Boxes:
         """Return the obstacles of a world."""
-        return read_boxes(self._boxes[world])
+        return read_boxes(self._boxes[world], self.options.box_numbers)
 
     def static_map(self, world: int) -> Boxes:
         """Return a copy of a world's obstacles."""
-        return read_boxes(self._boxes[world].copy())
+        return read_boxes(self._boxes[world].copy(), self.options.box_numbers)
 
     def min_clearance(self, world: int, configurations: Array) -> float:
         """Return the least distance of the arm's links from boxes, floor and each other, m; see `Clearance`."""
@@ -184,13 +192,14 @@ class ReachObstaclesTask(ReachTask):
         return PathCertificate(self._workspace.model)
 
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
-        return build_arm_world(description, self.options.control, _furnish)
+        return build_arm_world(description, self.options.control, furnish)
 
     def _bind_arrays(self) -> None:
         model, simulation = self.simulation.model, self.simulation
-        self._bodies = np.array([model.body(_name(i)).id for i in range(MAX_OBSTACLES)])
-        self._geoms = BoxGeoms(simulation, np.array([model.geom(_name(i)).id for i in range(MAX_OBSTACLES)]))
-        self._positions, self._quaternions = (simulation.per_world(name) for name in ("body_pos", "body_quat"))
+        names = [_name(i) for i in range(self.options.max_boxes)]
+        self._bodies = np.array([model.body(name).id for name in names])
+        self._geoms = BoxGeoms(simulation, np.array([model.geom(name).id for name in names]))
+        self._box_positions, self._box_quaternions = (simulation.per_world(name) for name in ("body_pos", "body_quat"))
         self._contacts = ContactSensors(simulation, ("arm",), TOUCHED)
         self._contacts_part = self._contacts.part
 
@@ -230,51 +239,54 @@ class ReachObstaclesTask(ReachTask):
         """Put the simulated boxes of worlds `ids` where `_boxes` has them."""
         boxes, worlds = self._boxes[ids], ids[:, None]
         present = (boxes[..., 3:6] > 0).all(axis=-1, keepdims=True)
-        half_yaws = boxes[..., 6] / 2
-        self._positions[worlds, self._bodies] = np.where(present, boxes[..., :3], AWAY)
-        self._quaternions[worlds, self._bodies, 0] = np.cos(half_yaws)
-        self._quaternions[worlds, self._bodies, 3] = np.sin(half_yaws)
+        self._box_positions[worlds, self._bodies] = np.where(present, boxes[..., :3], AWAY)
+        (cos, sin), tilts = (np.cos(boxes[..., 6] / 2), np.sin(boxes[..., 6] / 2)), boxes[..., 7:].sum(axis=-1) / 2
+        turned = (cos * np.cos(tilts), -sin * np.sin(tilts), cos * np.sin(tilts), sin * np.cos(tilts))
+        self._box_quaternions[worlds, self._bodies] = np.stack(turned, axis=-1)
         self._geoms.resize(ids, boxes[..., 3:6])
 
     def _part_bounds(self) -> dict[Term, Bounds]:
         far = FARTHEST_BOX * LENGTH_MARGIN * self._workspace.radius
-        highest = np.array([far] * 6 + [2 * np.pi])
-        lowest = -highest * ([1] * 3 + [0] * 3 + [1])
-        highest_ahead = np.array([3 * LENGTH_SCALE * far] * 9 + [1.0] * 2)
-        lowest_ahead = -highest_ahead * ([1] * 6 + [0] * 3 + [1] * 2)
+        angles = self.options.box_numbers - 6
+        directions = 2 * angles
+        highest = np.array([far] * 6 + [2 * np.pi] * angles)
+        lowest = -highest * ([1] * 3 + [0] * 3 + [1] * angles)
+        highest_ahead = np.array([3 * LENGTH_SCALE * far] * 9 + [1.0] * directions)
+        lowest_ahead = -highest_ahead * ([1] * 6 + [0] * 3 + [1] * directions)
         return super()._part_bounds() | {
-            BOXES: np.tile((lowest, highest), MAX_OBSTACLES),
-            _boxes_ahead: np.tile((lowest_ahead, highest_ahead), MAX_OBSTACLES),
+            BOXES: np.tile((lowest, highest), self.options.max_boxes),
+            boxes_ahead: np.tile((lowest_ahead, highest_ahead), self.options.max_boxes),
         }
 
-    def _update_state(self, action: Array) -> None:
-        super()._update_state(action)
+    def _state_values(self, action: Array) -> dict[str, Any]:
         contacts = self._contacts.since_last_step()[:, 0]
-        boxes = self._boxes.reshape(len(contacts), -1)
-        self.state: ObstaclesReachState = ObstaclesReachState(
-            **vars(self.state), boxes=boxes, contacts=contacts, collided=np.asarray(contacts.any(axis=1))
-        )
+        return super()._state_values(action) | {
+            "boxes": self._boxes,
+            "contacts": contacts,
+            "collided": np.asarray(contacts.any(axis=1)),
+        }
 
 
-def read_boxes(numbers: NDArray[np.floating[Any]]) -> Boxes:
-    """Parse boxes from an observation: any array with `BOX_NUMBERS` numbers per box, zeros for absent boxes."""
-    rows = np.asarray(numbers, dtype=float).reshape(-1, BOX_NUMBERS)
+def read_boxes(numbers: NDArray[np.floating[Any]], box_numbers: int = BOX_NUMBERS) -> Boxes:
+    """Parse boxes from an observation: any array with `box_numbers` numbers per box, zeros for absent boxes."""
+    rows = np.asarray(numbers, dtype=float).reshape(-1, box_numbers)
     rows = rows[(rows[:, 3:6] > 0).all(axis=1)]
-    return Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6])
+    return Boxes(rows[:, :3], rows[:, 3:6], rows[:, 6], *rows.T[7:])
 
 
 def _name(box: int) -> str:
     return f"box_{box}"
 
 
-def _furnish(spec: Any, description: ArmDescription) -> None:
-    _add_boxes(spec, description)
+def furnish(spec: Any, description: ArmDescription, max_boxes: int = MAX_OBSTACLES) -> None:
+    """Add boxes, which are away, and sensors of the arm's contacts."""
+    _add_boxes(spec, description, max_boxes)
     _add_sensors(spec, round(CONTROL_PERIOD / spec.option.timestep))
 
 
-def _add_boxes(spec: Any, description: ArmDescription) -> None:
+def _add_boxes(spec: Any, description: ArmDescription, max_boxes: int) -> None:
     parent = spec.worldbody.add_body(name="obstacles")
-    for i in range(MAX_OBSTACLES):
+    for i in range(max_boxes):
         body = parent.add_body(name=_name(i), pos=AWAY)
         body.add_geom(
             name=_name(i),

@@ -106,13 +106,16 @@ class ReachPoseTask(ReachTask):
 
     options: ReachPoseOptions
     options_type: ClassVar[type[Any]] = ReachPoseOptions
+    state_type: ClassVar[type[Any]] = PoseReachState
     units: ClassVar[Mapping[str, str]] = {**ReachTask.units, "end_effector_axes": "", "target_axes": ""}
     instruction = "Move the end-effector to the target's position, in the target's orientation."
-    default_policies = ("reach_ik", "reach_mpc", "reach_ruckig", "reach_rate", "random")
+    default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_mpc", "reach_ruckig", "reach_rate", "random")
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         "distance": ReachTask.potentials["distance"],
         "ik": MinimumTimeToPose,
     }
+
+    state: PoseReachState
 
     certificates: Array
     """(n, dof) rad: a free configuration in each target's pose."""
@@ -148,7 +151,7 @@ class ReachPoseTask(ReachTask):
         return MinimumTimePose(self._workspace.model, self.lever)
 
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
-        return build_arm_world(description, self.options.control, _draw_axes)
+        return build_arm_world(description, self.options.control, draw_axes)
 
     def _bind_arrays(self) -> None:
         super()._bind_arrays()
@@ -161,6 +164,9 @@ class ReachPoseTask(ReachTask):
 
     def _sample_episode(self, world: int, rng: np.random.Generator) -> None:
         pose, self.certificates[world] = self._workspace.sample_pose(rng, self.options.tolerance)
+        self._set_target(world, pose)
+
+    def _set_target(self, world: int, pose: Array) -> None:
         self._targets[world] = pose[:3, 3]
         mujoco.mju_mat2Quat(self._quaternions[world], pose[:3, :3].ravel())
 
@@ -168,16 +174,14 @@ class ReachPoseTask(ReachTask):
         super()._place_targets(ids)
         np.copyto(self._target_query.rotations, self._target_rotations)
 
-    def _update_state(self, action: Array) -> None:
-        super()._update_state(action)
+    def _state_values(self, action: Array) -> dict[str, Any]:
         angles = np.empty(self.n)
         angles_between(np.ascontiguousarray(self._rotations), self._target_query.rotations, angles)
-        self.state: PoseReachState = PoseReachState(
-            **vars(self.state),
-            end_effector_axes=first_axes(self._rotations),
-            target_axes=first_axes(self._target_rotations),
-            angle=angles,
-        )
+        return super()._state_values(action) | {
+            "end_effector_axes": first_axes(self._rotations),
+            "target_axes": first_axes(self._target_rotations),
+            "angle": angles,
+        }
 
     def _part_bounds(self) -> dict[Term, Bounds]:
         unit = (-1.0 - 1e-6, 1.0 + 1e-6)
@@ -190,7 +194,7 @@ def first_axes(rotations: Array) -> Array:
     return np.concatenate((rotations[:, 0::3], rotations[:, 1::3]), axis=1)
 
 
-def _draw_axes(spec: Any, description: ArmDescription) -> None:
+def draw_axes(spec: Any, description: ArmDescription) -> None:
     """Draw axes at target and end-effector, which collide with nothing."""
     for body in (spec.body("target"), spec.body(PREFIX + description.tip)):
         for axis in range(3):

@@ -66,6 +66,7 @@ class ReachTask(Task):
     options_type: ClassVar[type[Any]] = ReachOptions
     outcomes: ClassVar[type[Outcome]] = ReachOutcome
     possible_outcomes: ClassVar[tuple[Outcome, ...]] = (ReachOutcome.REACHED, ReachOutcome.TIMEOUT)
+    state_type: ClassVar[type[Any]] = ReachState
     instruction: ClassVar[str] = "Move the end-effector to the target."
     default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_ppo", "random")
     disturbances = ARM
@@ -319,21 +320,21 @@ class ReachTask(Task):
         np.copyto(self._target_query.targets[0], self._targets)
 
     def _update_state(self, action: Array) -> None:
+        self.state: ReachState = self.state_type(**self._state_values(action))
+
+    def _state_values(self, action: Array) -> dict[str, Any]:
+        """Return the fields of `state_type`."""
         joints, turns = self.arm.joint_positions, self._workspace.model.base_yaw_is_vertical
-        self.state = ReachState(
-            self.arm.end_effector_positions,
-            joints,
-            self.arm.joint_velocities,
-            self._targets,
-            self._distances(),
-            self._distance,
-            self._nearest <= self.options.tolerance,
-            self._target_velocities,
-            action,
-            self.arm.commands,
-            joints[:, 0] if turns else np.zeros(len(joints)),
-            joints[:, 1:] if turns else joints,
-        )
+        return {
+            "end_effector_position": self.arm.end_effector_positions,
+            "joint_positions": joints, "joint_velocities": self.arm.joint_velocities,
+            "target_position": self._targets, "target_velocity": self._target_velocities,
+            "distance": self._distances(), "previous_distance": self._distance,
+            "reached": self._nearest <= self.options.tolerance,
+            "action": action, "commands": self.arm.commands,
+            "base_yaw": joints[:, 0] if turns else np.zeros(len(joints)),
+            "posture": joints[:, 1:] if turns else joints,
+        }  # fmt: skip
 
     def _distances(self) -> Array:
         distances = np.empty(self.n)

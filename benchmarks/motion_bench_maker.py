@@ -1,0 +1,74 @@
+"""The experts on MotionBenchMaker's problems for a UR5, executed with dynamics, and the time that planning takes.
+
+    python benchmarks/motion_bench_maker.py [--policies reach_ompl,reach_mpc] [--seed 311] [--scenes box,cage]
+
+Each policy plays all solvable problems of each scene once, in the order of the seed. Planning is one call of
+`ArmPlanner` from the start to the target's pose, with the options that `reach_ompl` begins with, goals and shortcuts
+included. Published figures are not from this machine, and not for this model of the robot.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import typer
+from printing import markdown_table, progress, show
+
+import armctl
+from armctl.baselines.reach_task import planning
+from armctl.kinematics import ArmModel, MinimumTimePose
+from armctl.planning import ArmPlan, ArmPlanner, ArmPlannerOptions
+from armctl.tasks import ReachScenesOptions
+from armctl.tasks.reach import read_boxes
+from armctl.tasks.reach.motion_bench_maker import ROBOT, scene_names, shipped_problems
+
+ENV = "armctl/ArmScenes-v0"
+WORLDS = 10
+POLICIES = "reach_ompl,reach_mpc,reach_ik"
+PUBLISHED = (
+    "VAMP (resources/README.md at f6de6a7): RRT-Connect with simplification, to goals in joint positions, on an AMD "
+    "Ryzen 9 7950X: median 0.11 ms, 95th percentile 0.84 ms; 608 of 608 valid problems solved, of 700."
+)
+
+
+def main(policies: str = POLICIES, seed: int = 311, scenes: str = "all") -> None:
+    """Play the same problems with each policy, plan them, and print a table."""
+    names, problems = policies.split(","), shipped_problems()
+    table = markdown_table(
+        "scene", "solvable", *(f"`{name}`" for name in names), "planned at once", "time, ms: median", "p95"
+    )
+    wins, solvable, plans = np.zeros(len(names), dtype=int), 0, []
+    for scene in scene_names(scenes):
+        rows = problems.rows(scene, "all", solvable=True)
+        options = {"scenes": scene}
+        comparison = armctl.compare(names, ENV, episodes=len(rows), seed=seed, worlds=WORLDS, env_options=options)
+        success = comparison.episodes.groupby("policy").success.sum()
+        won = np.array([success[name] for name in names])
+        planned = list(planned_paths(rows))
+        table.add_row(scene, f"{len(rows)} of 100", *(f"{n}" for n in won), *times(planned))
+        wins, solvable, plans = wins + won, solvable + len(rows), plans + planned
+    shares = (f"{n} ({n / solvable:.1%})" for n in wins)
+    table.add_row("all", f"{solvable} of {100 * len(scene_names(scenes))}", *shares, *times(plans))
+    show(table, width=200)
+    print(f"\narmctl {armctl.__version__}, seed {seed}. Published: {PUBLISHED}")
+
+
+def planned_paths(rows: np.ndarray) -> Iterator[ArmPlan]:
+    """Plan each of some problems once."""
+    problems, model, task = shipped_problems(), ArmModel(ROBOT), ReachScenesOptions()
+    search = MinimumTimePose(model, task.lever)
+    clearances, effort = planning(task)
+    planner = ArmPlanner(model, ArmPlannerOptions(clearance=clearances[0], **effort), search)
+    for row in progress(rows, "plans"):
+        start, place = problems.starts[row].astype(float), search.place(problems.goals[row].astype(float))
+        boxes = read_boxes(problems.boxes[row], task.box_numbers)
+        yield planner.plan(start, place, task.tolerance, boxes)
+
+
+def times(plans: list[ArmPlan]) -> tuple[str, str, str]:
+    """Return how many plans have a path, and the median and 95th percentile of the time of all, ms."""
+    median, slow = np.percentile([1e3 * plan.seconds for plan in plans], (50, 95))
+    return f"{sum(plan.solved for plan in plans)}", f"{median:.1f}", f"{slow:.1f}"
+
+
+if __name__ == "__main__":
+    typer.run(main)
