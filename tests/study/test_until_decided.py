@@ -238,8 +238,13 @@ def test_who_represents_no_kind_stops_earlier_and_all_count(stopped_suite, tmp_p
     }
     plain, delayed = counts.values()
     assert plain["reach_ik"] == plain["reach_ppo"] == 60
-    assert 30 <= plain["random"] < 60  # until the choice is made
-    assert delayed["reach_ik"] == delayed["reach_ppo"] > delayed["random"] == 20
+    assert plain["random"] == 30 + 20
+    assert set(delayed.values()) == {20}
+    counted = found.cells["ArmReach-v0/delay-20.0"].counted
+    assert {int(table.column("episode").min()) for table in counted.values()} == {30}  # those before made the choice
+    points = found.tasks["armctl/ArmReach-v0"].points.set_index(["level", "policy"])
+    assert points.loc[(20.0, "random"), "episodes"] == 20
+    assert np.isfinite(points.loc[(20.0, "random"), "change"])
     text = " ".join(text_of(found.cells["ArmReach-v0/none"]).split())
     assert "Stopped earlier, as they represent no kind: random." in text
     assert "cut short" not in text
@@ -249,7 +254,7 @@ def test_who_represents_no_kind_stops_earlier_and_all_count(stopped_suite, tmp_p
 
     def interrupt(*result):
         played.append(result)
-        if len(played) == 105:  # in the undisturbed cell, after the choice
+        if len(played) == 125:  # in the undisturbed cell, after the choice
             raise KeyboardInterrupt
 
     options = {"episodes": 60, "until": "decided", "worlds": 10, "out": tmp_path}

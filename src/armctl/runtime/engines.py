@@ -21,7 +21,7 @@ from armctl.runtime.sending import JobBundle
 from armctl.runtime.workers import Work, WorkersFailed, end_with_parent, environment_of, run_isolated
 
 RETRIES = 3
-"""Number of times that a unit is done again whose worker was lost."""
+"""Number of times that a unit is done again whose worker was lost, or that a cluster is asked again."""
 SILENCE = 30.0
 """s between two looks whether there are workers left, while none has finished anything."""
 PATIENCE = 10.0
@@ -192,12 +192,7 @@ class Ray(Cluster):
         if address and not self._has_joined:
             raise ConfigurationError(f"this process belongs to a cluster of Ray already: `ray` is that, not {address}")
         if self._has_joined:
-            try:
-                ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
-            except (ConnectionError, ValueError, RuntimeError) as error:
-                raise ConfigurationError(
-                    f"no cluster of Ray answers at {address}: {error}. If it asks for a token, set RAY_AUTH_MODE=token"
-                ) from error
+            _join(ray, address)
         self._task = ray.remote(num_cpus=1, max_retries=RETRIES)(run_isolated)
         self.workers = max(MIN_CLUSTER_WORKERS, self.count())
 
@@ -275,6 +270,20 @@ class Dask(Cluster):
 
     def _cancel(self, running: list[Any]) -> None:
         self._client.cancel(running)
+
+
+def _join(ray: Any, address: str | None) -> None:
+    """Join a cluster of Ray. Its head starts a process for each client; where that fails, it is asked again."""
+    for attempt in itertools.count(1):
+        try:
+            ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
+            return
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            if attempt <= RETRIES and "Starting Ray client server failed" in str(error):
+                continue
+            raise ConfigurationError(
+                f"no cluster of Ray answers at {address}: {error}. If it asks for a token, set RAY_AUTH_MODE=token"
+            ) from error
 
 
 def _failing_as_lost(call: Callable[[list[Any]], Any], units: list[Any]) -> Any:

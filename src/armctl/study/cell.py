@@ -124,18 +124,22 @@ class _Line:
         about = identity(cell.env, cell.env_options, self.plan.seed, cell.players, self.policies, self.env, real_time)
         return {**about, POLICY_SEED: str(self.policy_seed)}
 
-    def play(self, kept: EpisodeTable, task: Task, ends: Sequence[int]) -> Iterator[RolloutBatch | int]:
-        """Play the episodes that are not among those that were `kept`, in blocks; yield the end of each after it."""
+    def play(self, kept: EpisodeTable, task: Task, first: int, counts: Sequence[int]) -> Iterator[RolloutBatch | int]:
+        """Play the episodes from the `first` on that are not among those that were `kept`.
+
+        They are played in blocks; yield the number of episodes after each.
+        """
         finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
         task.lower_bound_steps.update(zip(*lengths, strict=True))
         play_block, playing, start = self._block_player(task.lower_bound_steps), set(finished), 0
         names = [*self.policies]
-        for end in ends:
-            numbers = np.arange(start, end)
-            waiting = {name: np.setdiff1d(numbers, finished.get(name, [])).tolist() for name in names}
-            if self.plan.until_decided:
-                waiting = {name: [k for k in waiting[name] if task.needs(name, k)] for name in names}
+        for end in counts:
+            ends = {name: first + int(min(end, task.enough(self.cell, name))) for name in names}
+            waiting = {
+                name: np.setdiff1d(np.arange(first + start, ends[name]), finished.get(name, [])).tolist()
+                for name in names
+            }
             with closing(play_block(waiting, playing)) as batches:
                 for batch in batches:
                     yield batch
@@ -171,15 +175,16 @@ class _Line:
             setting, self.policies, self.interfaces, waiting, lower_bound_steps, engine, cell.real_time, finished
         )
 
-    def facts(self, events: Events, notes: list[str], resumed: int) -> Facts:
+    def facts(self, events: Events, notes: list[str], resumed: int, first: int) -> Facts:
         """Return everything that is stored besides the episodes and runs."""
         cell, plan, env = self.cell, self.plan, self.env
-        real_time = cell.real_time
+        real_time, most = cell.real_time, plan.episodes - first
         return Facts(
             env_options={name: str(value) for name, value in cell.env_options.items()},
             policy_seed=self.policy_seed,
-            planned=events.decided_after or plan.episodes,
-            at_most=plan.episodes if plan.until_decided else None,
+            planned=events.decided_after or most,
+            first_episode=first,
+            at_most=most if plan.until_decided else None,
             policies={
                 name: PolicyFacts(
                     self.interfaces.privilege(self.playing[name], policy),
@@ -241,23 +246,24 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         writer.forget(recorder.lost(writer.kept))
         for result in writer.kept:
             session.progress(cell, result)
+        first = task.first_episode(cell, plan.episodes)
 
-        def decided(episodes: int) -> bool:
+        def decided(count: int) -> bool:
             results = _results(writer, line, events)
-            facts = line.facts(events, notes, len(writer.kept))
-            results = results[results.column("episode") < episodes]
+            facts = line.facts(events, notes, len(writer.kept), first)
+            results = results[results.column("episode") < first + count]
             if plan.kind != SUITE:
                 return is_decided(results, facts, plan.num_verdicts_with(cell))
             so_far = concluded(writer.identity, cell.env_options, facts, results, writer.runs)
             return task.is_decided(cell, so_far, plan.num_verdicts_with(cell))
 
-        _play(line, writer, task, meter, events, session, decided)
+        _play(line, writer, task, first, meter, events, session, decided)
         results = _results(writer, line, events)
         events.note_crashes(results)
         counts = {name: len(episodes) for name, episodes in results.by_policy().items()}
-        judged = min((count for name, count in counts.items() if task.needs(name, count)), default=0)
+        judged = min((count for name, count in counts.items() if count < task.enough(cell, name)), default=0)
         runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
-        facts = line.facts(events, notes, len(writer.kept))
+        facts = line.facts(events, notes, len(writer.kept), first)
         facts = replace(facts, paired=task.seeding is None or task.seeding.obeyed)
         try:
             runs = writer.finish(asdict(facts), runs, events.disqualified)
@@ -314,6 +320,7 @@ def _play(
     line: _Line,
     writer: CellWriter,
     task: Task,
+    first: int,
     meter: RunMeter,
     events: Events,
     session: Session,
@@ -322,15 +329,15 @@ def _play(
     """Write episodes until all are played or it is decided, the workers are lost, or somebody interrupts."""
     in_workers = dict[str, float]()
     judged = [run.judged for run in writer.runs if run.judged]
-    kept = int(writer.kept.column("episode").max(initial=-1)) + 1
-    ends = line.plan.block_ends(kept, judged)
+    kept = max(0, int(writer.kept.column("episode").max(initial=-1)) + 1 - first)
+    counts = line.plan.block_ends(kept, judged, first)
     if kept and line.plan.kind == SUITE:
         decided(kept)  # who represents a kind, and plays on
     try:
-        with closing(line.play(writer.kept, task, ends)) as stream:  # type: ignore[type-var]
+        with closing(line.play(writer.kept, task, first, counts)) as stream:  # type: ignore[type-var]
             for batch in stream:
                 if isinstance(batch, int):
-                    if batch < line.plan.episodes and decided(batch):
+                    if batch < counts[-1] and decided(batch):
                         events.decided_after = batch
                         break
                     continue

@@ -18,7 +18,7 @@ from armctl.verdict.notebook import Displayed
 from armctl.verdict.notes import certificate_notes, first_step_notes, motion_notes, unclean_notes
 from armctl.verdict.scores import by_learner
 from armctl.verdict.sentences import Verdict, verdict
-from armctl.verdict.summary import PolicySummary, counted_results, summarise
+from armctl.verdict.summary import PolicySummary, counted_results, counted_rows, summarise
 from armctl.verdict.summary_tables import details, difference_table, policy_table
 from armctl.verdict.tables import Document, Remark, Table
 
@@ -102,6 +102,11 @@ class Comparison(Displayed):
         """One row per policy and episode, with the columns of `episodes.csv`. It is made on first use."""
         return self.results.frame()
 
+    @cached_property
+    def counted_rows(self) -> "pd.DataFrame":
+        """The rows of `episodes` that count; see `armctl.verdict.summary.counted_rows`."""
+        return counted_rows(self.results, self.facts.first_episode)
+
     @property
     def names(self) -> list[str]:
         """Names of all policies that were asked for, in order; a group of trainings counts as one."""
@@ -110,7 +115,7 @@ class Comparison(Displayed):
     @cached_property
     def counted(self) -> dict[str, EpisodeTable]:
         """The episodes that count, by policy; policies without any are left out. Those of a group: of all trainings."""
-        counted, _ = counted_results(self.results)
+        counted, _ = counted_results(self.results, self.facts.first_episode)
         trained = by_learner(counted, self.identity["policies"], self.facts.groups)
         names = [policy.policy for policy in self.policies]
         return {name: reduce(EpisodeTable.together, trained[name].values()) for name in names}
@@ -197,7 +202,7 @@ def concluded(
     if not len(results):
         return comparison
     comparison.policies, comparison.differences = summarise(results, facts, runs)
-    counted, _ = counted_results(results)
+    counted, _ = counted_results(results, facts.first_episode)
     by_return = bool(comparison.policies) and comparison.policies[0].success is None
     any_number = [pair.any_number for pair in comparison.differences]
     comparison.notes += [

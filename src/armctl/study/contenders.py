@@ -1,6 +1,7 @@
 """The policies that represent the kinds in a task of a suite, and whether it is decided between them."""
 
 import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -11,7 +12,6 @@ from armctl.stats.across_tasks import SELECTING, Choice, choose, pairwise_by_tas
 from armctl.stats.difference import MARGIN
 from armctl.stats.intervals import FEWEST
 from armctl.study.comparison import Comparison
-from armctl.verdict.summary import counted_rows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Contenders = Mapping[Kind, Choice]
 """The choice that represents each kind that has played."""
 OTHERS_EPISODES = 20
-"""Episodes of a policy that represents no kind, where a setting stops when it is decided between those that do."""
+"""Episodes of a policy that represents no kind after the choice, where a setting stops when it is decided."""
 
 
 @dataclass
@@ -44,15 +44,31 @@ class Task:
         choices = self.contenders
         if cell.setting == UNDISTURBED:
             choices = contenders(so_far, any_number=True)
-            if so_far.episodes.episode.nunique() >= SELECTING:
+            if so_far.counted_rows.groupby("policy").size().min() >= SELECTING:
                 self.contenders = choices
         pairs = list(itertools.combinations(choices.values(), 2))
         return bool(choices) and all(is_task_decided(so_far, *pair, num_verdicts * len(pairs)) for pair in pairs)
 
-    def needs(self, policy: str, episode: int) -> bool:
-        """Return True if an episode of a policy is needed: after the choice, few are of who represents no kind."""
+    def first_episode(self, cell: "Cell", at_most: int) -> int:
+        """Return the number of a cell's first episode.
+
+        Those by which the policies of several kinds were chosen do not count for them, disturbed or not: where enough
+        others are left, they are not played again under a disturbance.
+        """
+        kinds = self.contenders.values()
+        chosen = len(kinds) > 1 and any(choice.of_several for choice in kinds)
+        is_disturbed = cell.setting != UNDISTURBED
+        return SELECTING if is_disturbed and chosen and at_most >= SELECTING + FEWEST else 0
+
+    def enough(self, cell: "Cell", policy: str) -> float:
+        """Return the number of a cell's episodes after which a policy plays no more.
+
+        It is infinite until those that represent the kinds are chosen, and for these.
+        """
         chosen = {choice.policy for choice in self.contenders.values()}
-        return not chosen or policy in chosen or episode < OTHERS_EPISODES
+        if not chosen or policy in chosen:
+            return math.inf
+        return OTHERS_EPISODES + (SELECTING if cell.setting == UNDISTURBED else 0)
 
 
 def contenders(undisturbed: Comparison, any_number: bool) -> Contenders:
@@ -60,7 +76,7 @@ def contenders(undisturbed: Comparison, any_number: bool) -> Contenders:
     table = success_table(undisturbed)
     if table is None:
         return {}
-    rows = counted_rows(undisturbed.results)
+    rows = undisturbed.counted_rows
     returns = rows.pivot(index="episode", columns="policy", values="return").reindex(table.index)
     members = {kind: [policy.policy for policy in undisturbed.policies if policy.side == kind] for kind in KINDS}
     return {kind: choose(table, returns, names, any_number) for kind, names in members.items() if names}
@@ -88,7 +104,7 @@ def success_table(comparison: Comparison, with_spared: bool = False) -> "pd.Data
     episodes = comparison.episodes
     if not len(episodes) or not comparison.policies or episodes.success.isna().any():
         return None
-    success = counted_rows(comparison.results).pivot(index="episode", columns="policy", values="success").astype(float)
+    success = comparison.counted_rows.pivot(index="episode", columns="policy", values="success").astype(float)
     return success.reindex(
         columns=[policy.policy for policy in comparison.policies if with_spared or not policy.spared]
     )

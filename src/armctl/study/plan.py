@@ -25,7 +25,7 @@ from armctl.rollout.real_time import (
 )
 from armctl.runtime.engines import Engine, engine_of
 from armctl.stats.difference import MARGIN
-from armctl.stats.sequential import block_ends
+from armctl.stats.sequential import BLOCK, block_ends
 from armctl.study.axis import Axis
 from armctl.study.grid import Grid
 from armctl.study.grids import Pairs, checked_grids
@@ -140,15 +140,16 @@ class Plan:
         """Those of all tasks."""
         return [cell for task in self.tasks for cell in task.cells]
 
-    def block_ends(self, kept: int, judged: Iterable[int]) -> list[int]:
-        """Return the numbers of episodes after which a cell may stop, the last of which is all.
+    def block_ends(self, kept: int, judged: Iterable[int], first: int = 0) -> list[int]:
+        """Return the numbers of episodes, from the `first` on, after which a cell may stop; the last of them is all.
 
         So many are `kept` of an earlier run, and so many were `judged` by earlier ones. They do not depend on when a
         run was interrupted, nor on the number of worlds and workers.
         """
+        most = self.episodes - first
         if not self.until_decided:
-            return [self.episodes]
-        return [n for n in sorted({*block_ends(self.episodes), *judged}) if kept <= n <= self.episodes]
+            return [most]
+        return [n for n in sorted({*block_ends(most), *judged}) if kept <= n <= most]
 
     def num_verdicts_with(self, cell: Cell) -> int:
         """Return the number of cells, this one included, whose verdicts are corrected for each other.
@@ -162,8 +163,12 @@ class Plan:
         return next(len(task.cells) - 1 for task in self.tasks if task.env == cell.env)
 
     def num_envs_in(self, cell: Cell) -> int:
-        """Return the number of worlds that share a policy's calls: one if the world does not wait for decisions."""
-        return 1 if cell.real_time else min(self.num_envs, self.episodes)
+        """Return the number of worlds that share a policy's calls: one if the world does not wait for decisions.
+
+        It is no more than a worker's share of the episodes that are played at once.
+        """
+        at_once = -(-BLOCK // self.engine.workers) if self.until_decided else self.episodes
+        return 1 if cell.real_time else min(self.num_envs, at_once)
 
     @property
     def total(self) -> int:

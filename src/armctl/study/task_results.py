@@ -22,7 +22,7 @@ from armctl.study.grid_tables import GridMap, grid_maps, grid_parts
 from armctl.study.names import setting_name
 from armctl.verdict.facts import Finite
 from armctl.verdict.notebook import Displayed
-from armctl.verdict.summary import PolicySummary, counted_rows
+from armctl.verdict.summary import PolicySummary
 from armctl.verdict.summary_tables import sweep_parts
 from armctl.verdict.tables import Document, Remark
 
@@ -105,14 +105,14 @@ class Sweep(Displayed):
         undisturbed = self.undisturbed
         if undisturbed is None:
             return pd.DataFrame(columns=list(COLUMNS))
-        undisturbed_rows, rows = counted_rows(undisturbed.results), []
+        undisturbed_rows, rows = undisturbed.counted_rows, []
         for name, levels in self.levels.items():
             for level in levels:
                 first = level == levels[0]
                 comparison = undisturbed if first else self.comparisons.get(setting_name(name, level))
                 if comparison is None:
                     continue
-                disturbed_rows = undisturbed_rows if first else counted_rows(comparison.results)
+                disturbed_rows = undisturbed_rows if first else comparison.counted_rows
                 for policy in comparison.policies:
                     change = (1.0, 0.0) if first else self._change(undisturbed_rows, disturbed_rows, policy)
                     values = (name, level, *_point(policy, change, self.units[name]))
@@ -125,13 +125,13 @@ class Sweep(Displayed):
         undisturbed = self.undisturbed
         if undisturbed is None or not self.grids:
             return []
-        undisturbed_rows, rows = counted_rows(undisturbed.results), []
+        undisturbed_rows, rows = undisturbed.counted_rows, []
         for grid in self.grids:
             for row, column in itertools.product(grid.row_levels, grid.column_levels):
                 setting = grid.setting(row, column)
                 if (comparison := self.comparisons.get(setting)) is None:
                     continue
-                disturbed_rows = counted_rows(comparison.results)
+                disturbed_rows = comparison.counted_rows
                 for policy in comparison.policies:
                     is_first = setting == UNDISTURBED
                     change = (1.0, 0.0) if is_first else self._change(undisturbed_rows, disturbed_rows, policy)

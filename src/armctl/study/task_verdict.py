@@ -25,7 +25,7 @@ from armctl.stats.intervals import FEWEST, Estimate
 from armctl.study.comparison import Comparison
 from armctl.study.contenders import contenders, success_table
 from armctl.study.task_results import Sweep
-from armctl.verdict.summary import PolicySummary, counted_rows
+from armctl.verdict.summary import PolicySummary
 from armctl.verdict.tables import p_value, points, size
 
 if TYPE_CHECKING:
@@ -275,7 +275,7 @@ def _with_steps(pair: TaskPair, plain: Comparison, first: Choice, second: Choice
     time_limit = plain.facts.time_limit
     if time_limit is None:
         return pair
-    rows = counted_rows(plain.results)
+    rows = plain.counted_rows
     rows = rows.assign(steps=rows.length.where(rows.success.astype(bool), time_limit))
     table = rows.pivot(index="episode", columns="policy", values="steps").astype(float)
     steps = (1.0, float(time_limit))

@@ -87,6 +87,8 @@ class Facts:
     """Number of episodes that an earlier run had finished."""
     at_most: Annotated[int, Field(ge=1, le=2**62)] | None = None
     """Largest number of episodes of a comparison that stops when it is decided; None: their number was fixed."""
+    first_episode: Annotated[int, Field(ge=0, le=2**62)] = 0
+    """Number of the first episode that was asked for."""
     paired: bool = True
     """True if all policies played the same episodes."""
     sources: list[str] = field(default_factory=list)

@@ -190,7 +190,7 @@ def summarise(
     `runs` on different machines are not pooled. What is concluded of pairs holds at any number of episodes if the
     comparison could stop early, or an earlier run told a verdict.
     """
-    counted, infeasible = counted_results(results)
+    counted, infeasible = counted_results(results, facts.first_episode)
     success = results.column("success")[results.column("outcome") != ERROR].tolist()
     scored = any(value is not None for value in success or results.column("success").tolist())
     runs = list(runs)
@@ -231,27 +231,28 @@ def summarise(
     return summaries, pairs_of(affected, scored, limits, facts.paired, any_number)
 
 
-def counted_results(results: EpisodeTable) -> tuple[dict[str, EpisodeTable], int]:
+def counted_results(results: EpisodeTable, first: int = 0) -> tuple[dict[str, EpisodeTable], int]:
     """Return the results that count, by policy and episode, and the number of infeasible episodes, which do not.
 
-    Of a policy that was cut short, only the episodes before the first unfinished one count: with many worlds, short
-    episodes end first, so that all finished ones would be a biased sample.
+    `first` is the number of the first episode that was asked for. Of a policy that was cut short, only the episodes
+    before the first unfinished one count: with many worlds, short episodes end first, so that all finished ones would
+    be a biased sample.
     """
     infeasible = np.unique(results.column("episode")[~results.column("feasible").astype(bool)])
     counted = {}
     for name, table in results.by_policy().items():
         episodes = table.column("episode")
-        unbroken = episodes == np.arange(len(episodes))  # one that is missing shifts all later ones
+        unbroken = episodes == first + np.arange(len(episodes))  # one that is missing shifts all later ones
         counted[name] = table[unbroken & ~np.isin(episodes, infeasible)]
     return counted, len(infeasible)
 
 
-def counted_rows(results: EpisodeTable) -> "pd.DataFrame":
-    """Return the rows of `episodes.csv` of the results that count.
+def counted_rows(results: EpisodeTable, first: int = 0) -> "pd.DataFrame":
+    """Return the rows of `episodes.csv` of the results that count, from the episode `first` on.
 
     The return of an episode in which the policy failed is -inf: less than any other.
     """
-    counted, _ = counted_results(results)
+    counted, _ = counted_results(results, first)
     rows = functools.reduce(EpisodeTable.together, counted.values(), results[:0]).frame()
     return rows.assign(**{"return": rows["return"].where(rows.outcome != ERROR, -math.inf)})
 
