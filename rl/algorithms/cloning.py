@@ -85,11 +85,11 @@ def fit(
     learning_rate: float,
     start: int = 0,
 ) -> Iterator[int]:
-    """Fit the actor's network by its loss.
+    """Fit the actor by its loss.
 
     Yields the number of each gradient step, from `start` + 1 to `steps`. The learning rate decays linearly.
     """
-    optimizer = torch.optim.Adam(actor.network.parameters(), learning_rate)
+    optimizer = torch.optim.Adam(actor.parameters(), learning_rate)
     training.meter.watch(optimizer)
     for step in tqdm(range(start, steps), "fit", leave=False, disable=not training.shows_bars):
         for group in optimizer.param_groups:

@@ -185,20 +185,27 @@ def _teacher_of(recipe: Recipe) -> str:
 
 def demonstrations(training: Training, options: CloningOptions, dataset: str | None) -> list[Demonstration]:
     """Return the successful episodes of a dataset, or of the teacher. Raises `ConfigurationError` if there are none."""
-    if dataset is None:
-        teacher = Teacher(training, min(options.worlds, options.demonstrations))
-        try:
-            episodes, source = teacher.show(options.demonstrations, training.first_seed()), teacher.name
-        finally:
-            teacher.envs.close()
-    else:
-        episodes, source = read_demonstrations(dataset, training.held_out), dataset
-    if training.newest_checkpoint() is None:  # a resumed training is shown the same episodes again
-        steps = sum(map(len, episodes))
-        training.meter.add(decisions=steps, teacher_queries=steps)
+    episodes = recorded_episodes(training, options, dataset)
     successes = [episode for episode in episodes if episode.success]
     if not successes:
+        source = dataset or training.recipe.teacher
         raise ConfigurationError(
             f"none of {len(episodes)} episodes of {source} was a success: there is nothing to learn from"
         )
     return successes
+
+
+def recorded_episodes(training: Training, options: CloningOptions, dataset: str | None) -> list[Demonstration]:
+    """Return all episodes of a dataset, or of the teacher."""
+    if dataset is None:
+        teacher = Teacher(training, min(options.worlds, options.demonstrations))
+        try:
+            episodes = teacher.show(options.demonstrations, training.first_seed())
+        finally:
+            teacher.envs.close()
+    else:
+        episodes = read_demonstrations(dataset, training.held_out)
+    if training.newest_checkpoint() is None:  # a resumed training is shown the same episodes again
+        steps = sum(map(len, episodes))
+        training.meter.add(decisions=steps, teacher_queries=steps)
+    return episodes

@@ -7,7 +7,8 @@ from armctl.agents import load_agent
 from armctl.core.errors import ConfigurationError
 from armctl.datasets.demonstrations import Demonstration
 from armctl.envs import make_worlds
-from armctl.rl.algorithms.flow_matching import Chunks, FlowActor, FlowOptions, train
+from armctl.rl.algorithms.chunking import ChunkActor, Chunks
+from armctl.rl.algorithms.flow_matching import FlowOptions, train
 from armctl.rl.networks.flow import FlowNetwork
 from armctl.rl.networks.view import ActionScale, Unscaled
 from tests.rl.small_trainings import small
@@ -46,7 +47,7 @@ def test_a_chunk_is_executed_before_the_next_one_is_planned():
     network = network_of(observations, actions, executed=3)
     network.latent.normal_()
     space = make_worlds("armctl/ArmReach-v0", 1).single_observation_space
-    actor = FlowActor(network, Unscaled(), space, network.memory)
+    actor = ChunkActor(network, Unscaled(), space, network.memory)
     seen = observations[:12].reshape(6, 2, 9).numpy()
     with torch.no_grad():
         plans = [network.plan(torch.as_tensor(step)).numpy() for step in seen]
