@@ -114,9 +114,9 @@ class Replay:
         oldest = self._next if self._size == rows else 0
         starts = oldest + rng.integers(self._size - horizon + 1, size=size)
         places = (starts + np.arange(horizon)[:, None]) % rows, rng.integers(num_envs, size=size)
-        drawn = {name: torch.as_tensor(array[places]) for name, array in self._arrays.items()}
-        before = torch.cat((torch.zeros(1, size), drawn["done"][:-1]))
-        return drawn | {"goes_on": (1 - before).cumprod(dim=0)}
+        sequences = {name: torch.as_tensor(array[places]) for name, array in self._arrays.items()}
+        is_over = torch.cat((torch.zeros(1, size), sequences["done"][:-1]))
+        return sequences | {"goes_on": (1 - is_over).cumprod(dim=0)}
 
 
 class Learning:
@@ -179,13 +179,13 @@ class Learning:
                 previous = observations
                 observations, rewards, done, infos = self._envs.step(proposed)
                 ends = np.flatnonzero(done)
-                after, terminated = np.array(observations), np.array(done)
+                final, terminated = np.array(observations), np.array(done)
                 for i in ends:
-                    after[i] = infos[i]["terminal_observation"]
+                    final[i] = infos[i]["terminal_observation"]
                     terminated[i] = not infos[i]["TimeLimit.truncated"]
                 plan[ends] = 0.0
                 replay.add(
-                    observations=previous, next=after, actions=self._envs.executed(proposed), rewards=rewards,
+                    observations=previous, next=final, actions=self._envs.executed(proposed), rewards=rewards,
                     terminated=terminated, done=done,
                 )  # fmt: skip
                 self.steps += n
@@ -198,9 +198,9 @@ class Learning:
     def _explore(self, observations: NDArray[Any], plan: torch.Tensor) -> tuple[NDArray[np.float32], torch.Tensor]:
         """Return random actions (n, k) from the best ones, and the next plans."""
         means, stds = self.planner.distribution(torch.as_tensor(observations), plan)
-        drawn = (means[:, 0] + stds[:, 0] * torch.randn_like(stds[:, 0])).clamp(-1, 1)
+        actions = (means[:, 0] + stds[:, 0] * torch.randn_like(stds[:, 0])).clamp(-1, 1)
         later = torch.cat((means[:, 1:], torch.zeros_like(means[:, :1])), dim=1)
-        return drawn.numpy(), later.flatten(1)
+        return actions.numpy(), later.flatten(1)
 
     def _learn(self, batch: dict[str, torch.Tensor]) -> None:
         """Make a gradient step of the model, and one of its prior."""

@@ -57,7 +57,7 @@ class ChunkingTransformer(ChunkNetwork):
     def __init__(self, *args: Any, width: int, blocks: int, style_weight: float, **options: Any) -> None:
         super().__init__(*args, **options)
         self._style_weight = style_weight
-        self.seen = torch.nn.Linear(self.features.features_dim, FEATURE_TOKENS * width)
+        self.tokens = torch.nn.Linear(self.features.features_dim, FEATURE_TOKENS * width)
         self.of_style = torch.nn.Linear(STYLE, width)
         self.of_chunk = torch.nn.Sequential(
             torch.nn.Linear(self.features.features_dim + len(self.mean), width),
@@ -84,8 +84,8 @@ class ChunkingTransformer(ChunkNetwork):
         return self._decoded(features, torch.zeros_like(features[:, :1]).expand(-1, STYLE))
 
     def _decoded(self, features: torch.Tensor, style: torch.Tensor) -> torch.Tensor:
-        seen = self.seen(features).unflatten(1, (FEATURE_TOKENS, -1))
-        tokens = torch.cat((self.of_style(style)[:, None], seen), dim=1) + self.places
+        parts = self.tokens(features).unflatten(1, (FEATURE_TOKENS, -1))
+        tokens = torch.cat((self.of_style(style)[:, None], parts), dim=1) + self.places
         for block in self.encoder:
             tokens = block(tokens)
         actions = self.queries + torch.zeros_like(tokens[:, :1])

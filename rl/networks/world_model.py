@@ -142,8 +142,8 @@ class Planner(torch.nn.Module):
         stds = torch.ones_like(means)
         many = latents.expand(-1, self.noise.shape[2] + self.prior_noise.shape[1], -1)
         for noise in self.noise:
-            drawn = means.transpose(0, 1)[:, :, None] + stds.transpose(0, 1)[:, :, None] * noise[:, None]
-            actions = torch.cat((drawn.clamp(-1, 1), proposed), dim=2)  # (horizon, n, samples, actions)
+            around = means.transpose(0, 1)[:, :, None] + stds.transpose(0, 1)[:, :, None] * noise[:, None]
+            actions = torch.cat((around.clamp(-1, 1), proposed), dim=2)  # (horizon, n, samples, actions)
             values = self.model.imagined(many, actions, self._gamma)
             best, places = values.topk(self._elites, dim=1)
             weights = softmax((best - best[:, :1]) / TEMPERATURE, dim=1)[:, :, None, None]

@@ -335,22 +335,6 @@ def test_what_cannot_be_reached_is_told(address, says, monkeypatch):
         connect(address)
 
 
-@pytest.mark.parametrize(("failures", "says"), [(3, None), (4, "no cluster of Ray answers at ray://a:1: .*failed")])
-def test_a_head_that_starts_no_process_for_its_client_is_asked_again(failures, says, monkeypatch):
-    ray = pytest.importorskip("ray")
-    answers = [ConnectionError("Initialization failure: Starting Ray client server failed.")] * failures + [None]
-
-    def init(*_, **__):
-        if (answer := answers.pop(0)) is not None:
-            raise answer
-
-    monkeypatch.setattr(ray, "init", init)
-    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 2})
-    with pytest.raises(ConfigurationError, match=says) if says else contextlib.nullcontext():
-        assert Ray("ray://a:1").workers == 2
-    assert len(answers) == (0 if says is None else 1)
-
-
 @pytest.mark.parametrize(("engine", "module"), [(Ray, "ray"), (Dask, "distributed")])
 def test_a_missing_engine_is_named_with_its_extra(engine, module, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)

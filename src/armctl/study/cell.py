@@ -125,21 +125,15 @@ class _Line:
         return {**about, POLICY_SEED: str(self.policy_seed)}
 
     def play(self, kept: EpisodeTable, task: Task, first: int, counts: Sequence[int]) -> Iterator[RolloutBatch | int]:
-        """Play the episodes from the `first` on that are not among those that were `kept`.
-
-        They are played in blocks; yield the number of episodes after each.
-        """
+        """Play the episodes from the `first` on that were not `kept`, in blocks; yield their number after each."""
         finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
         task.lower_bound_steps.update(zip(*lengths, strict=True))
         play_block, playing, start = self._block_player(task.lower_bound_steps), set(finished), 0
         names = [*self.policies]
         for end in counts:
-            ends = {name: first + int(min(end, task.enough(self.cell, name))) for name in names}
-            waiting = {
-                name: np.setdiff1d(np.arange(first + start, ends[name]), finished.get(name, [])).tolist()
-                for name in names
-            }
+            numbers = {name: np.arange(first + start, first + min(end, task.enough(self.cell, name))) for name in names}
+            waiting = {name: np.setdiff1d(numbers[name], finished.get(name, [])).tolist() for name in names}
             with closing(play_block(waiting, playing)) as batches:
                 for batch in batches:
                     yield batch
@@ -178,13 +172,13 @@ class _Line:
     def facts(self, events: Events, notes: list[str], resumed: int, first: int) -> Facts:
         """Return everything that is stored besides the episodes and runs."""
         cell, plan, env = self.cell, self.plan, self.env
-        real_time, most = cell.real_time, plan.episodes - first
+        real_time, at_most = cell.real_time, plan.episodes - first
         return Facts(
             env_options={name: str(value) for name, value in cell.env_options.items()},
             policy_seed=self.policy_seed,
-            planned=events.decided_after or most,
+            planned=events.decided_after or at_most,
             first_episode=first,
-            at_most=most if plan.until_decided else None,
+            at_most=at_most if plan.until_decided else None,
             policies={
                 name: PolicyFacts(
                     self.interfaces.privilege(self.playing[name], policy),
@@ -238,10 +232,9 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         recorder.check(line.env, cell)
         store.open(plan.seed, [other.name for other in plan.cells])
         recorder.open()
-        keys = {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
-        cell_identity = line.identity() if store.folder else keys
-        meter = RunMeter(cell_identity, num_envs, plan.engine.workers)
-        writer = store.cell(cell.name, cell_identity, plan.episodes, meter.run)
+        about = line.identity() if store.folder else {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
+        meter = RunMeter(about, num_envs, plan.engine.workers)
+        writer = store.cell(cell.name, about, plan.episodes, meter.run)
         session.on_first_cell()
         writer.forget(recorder.lost(writer.kept))
         for result in writer.kept:
@@ -260,8 +253,8 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         _play(line, writer, task, first, meter, events, session, decided)
         results = _results(writer, line, events)
         events.note_crashes(results)
-        counts = {name: len(episodes) for name, episodes in results.by_policy().items()}
-        judged = min((count for name, count in counts.items() if count < task.enough(cell, name)), default=0)
+        counts = ((name, len(episodes)) for name, episodes in results.by_policy().items())
+        judged = min((count for name, count in counts if count < task.enough(cell, name)), default=0)
         runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
         facts = line.facts(events, notes, len(writer.kept), first)
         facts = replace(facts, paired=task.seeding is None or task.seeding.obeyed)

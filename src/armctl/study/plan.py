@@ -146,10 +146,10 @@ class Plan:
         So many are `kept` of an earlier run, and so many were `judged` by earlier ones. They do not depend on when a
         run was interrupted, nor on the number of worlds and workers.
         """
-        most = self.episodes - first
+        at_most = self.episodes - first
         if not self.until_decided:
-            return [most]
-        return [n for n in sorted({*block_ends(most), *judged}) if kept <= n <= most]
+            return [at_most]
+        return [n for n in sorted({*block_ends(at_most), *judged}) if kept <= n <= at_most]
 
     def num_verdicts_with(self, cell: Cell) -> int:
         """Return the number of cells, this one included, whose verdicts are corrected for each other.

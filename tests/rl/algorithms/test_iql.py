@@ -21,7 +21,9 @@ def test_transitions_know_what_followed_and_whether_more_would():
     transitions = Transitions(make_worlds("armctl/ArmReach-v0", 1).task)
     for begin, length, terminated in ((0.0, 4, True), (10.0, 2, False)):
         numbers = begin + np.arange(length + 1, dtype=np.float32)
-        transitions.add([Demonstration(numbers[:, None], numbers[:-1, None], np.float64(numbers[:-1]), terminated, False)])
+        transitions.add(
+            [Demonstration(numbers[:, None], numbers[:-1, None], numbers[:-1].astype(np.float64), terminated, False)]
+        )
     observations, followed = transitions.draw(np.random.default_rng(0), 300)
     np.testing.assert_array_equal(followed["next"], observations + 1)
     np.testing.assert_array_equal(followed["actions"], observations)
