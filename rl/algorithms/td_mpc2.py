@@ -50,13 +50,13 @@ class TdMpcOptions(TrainingOptions):
     critics: Annotated[int, Field(ge=2)] = 2
     horizon: Count = 3
     """Control steps of a plan, and of the sequences from which the model learns."""
-    samples: Count = 96
+    samples: Count = 48
     """Sequences of actions in each round of planning."""
-    from_prior: Count = 16
+    from_prior: Count = 12
     """Those of the learned prior among them."""
-    elites: Count = 16
+    elites: Count = 8
     """Sequences from which the next round starts."""
-    rounds: Count = 3
+    rounds: Count = 2
     """Rounds of planning in each control step."""
     gradient_steps: Count = 8
     """Gradient steps per control step of all worlds."""

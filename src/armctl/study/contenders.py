@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Contenders = Mapping[Kind, Choice]
 """The choice that represents each kind that has played."""
-OTHERS_EPISODES = 20
+OTHERS_EPISODES = 10
 """Episodes of a policy that represents no kind after the choice, where a setting stops when it is decided."""
 
 
