@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.baselines.reach_task import checked_options, planning, search_for, split
+from armctl.baselines.reach_task import CLEARANCES, checked_options, planning, search_for, split
 from armctl.control.streaming import CommandStream, follow
 from armctl.control.trajectory import Trajectory, smooth
 from armctl.core.arrays import Array
@@ -46,7 +46,10 @@ SIGHT_NEARER, BRAKING_NEARER = 0.95, 0.7
 """Shares of their distances that pairs nearer than that must keep: braking may use what the motion ahead leaves."""
 LARGEST_MOVE = 0.5
 """rad: a command is at most so far from the observed joints: more than a joint needs to stop, less than would take the
-drives, each of which is as fast as it can be, far off the straight motion."""
+drives, each of which is as fast as it can be, far off the straight motion. Proportionally less on paths nearer to
+things than `WIDE`: the joints' lag behind their drives grows with the speed."""
+WIDE = CLEARANCES[0]
+"""m."""
 SHARES = 0.6 ** np.arange(13)
 """Shares of the move to command: the first is taken after which the drives stop freely."""
 LOST = 0.1
@@ -158,6 +161,7 @@ class ReachOmpl:
     def _plan(self, q: Array, target: Array, boxes: Boxes) -> None:
         """Plan a path from `q` (dof,): after each failure nearer to things, to more goals, and with another seed."""
         clearance, self._since_plan = self._clearances[min(self._failures, len(self._clearances) - 1)], 0
+        self._clearance = clearance
         tries = 1 + self._failures
         options = ArmPlannerOptions(clearance=clearance, goals=GOALS * tries, seed=tries, **self._effort)
         plan = ArmPlanner(self._model, options, self._search).plan(q, target, self._radius, boxes)
@@ -197,7 +201,8 @@ class ReachOmpl:
     def _command(self, q: Array, goal: Array, position: Array, velocity: Array) -> Array:
         """Return the joint positions (dof,) to command: `goal`, or as far on the straight motion there as is safe."""
         assert self._braking is not None
-        move = (goal - q) * min(1.0, LARGEST_MOVE / max(float(np.abs(goal - q).max()), LARGEST_MOVE))
+        largest = LARGEST_MOVE * min(1.0, self._clearance / WIDE)
+        move = (goal - q) * min(1.0, largest / max(float(np.abs(goal - q).max()), largest))
         for share in SHARES:
             if self._stops_freely(q, position, velocity, q + share * move):
                 return np.asarray(q + share * move)

@@ -24,7 +24,7 @@ from armctl.core.errors import ArmctlError
 
 REACH, MOVING, OBSTACLES = "armctl/ArmReach-v0", "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
 POSE, PUSH, LIFT = "armctl/ArmPose-v0", "armctl/ArmPush-v0", "armctl/ArmLift-v0"
-BARN = "armctl/BarnCross-v0"
+BARN, SCENES = "armctl/BarnCross-v0", "armctl/ArmScenes-v0"
 BRIDGE, BRIDGE_MOVING = "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0"
 EXPERTS = ("reach_ik", "reach_mpc", "reach_ompl", "bridge_ompl", "bridge_mpc")
 AGENTS = ("reach_ppo", "reach_bc", "reach_dagger", "reach_sac", "moving_ppo")
@@ -70,6 +70,8 @@ def cases() -> Iterator[tuple[str, dict[str, Any], str, int, int]]:
         yield POSE, {"robot": robot}, "reach_ik", 2, 60
     yield POSE, {"control": "velocity"}, "reach_ik", 2, 60
     yield POSE, {"shaping": "ik"}, "random", 2, 40
+    for policy in ("reach_ompl", "reach_mpc", "reach_ik", "random"):
+        yield SCENES, {}, policy, 3, 120
     for policy in ("push_line", "random"):
         yield PUSH, {}, policy, 3, 150
     for policy in ("bridge_ompl", "bridge_mpc", "random"):

@@ -31,6 +31,21 @@ def test_a_place_gives_its_pose_back_and_axes_may_be_inexact(search):
     np.testing.assert_allclose(search.centre(place[:3], 3.0 * place[3:9]), place, atol=1e-12)
 
 
+def test_poses_around_one_are_shifted_within_the_radius_and_keep_the_orientation(search):
+    home = search.model.home
+    for centre in targets(search, 5):
+        around = search.around(centre, RADIUS)
+        shifts = np.linalg.norm(around - centre, axis=1)
+        assert len(around) == 12
+        assert shifts.max() == pytest.approx(RADIUS)
+        assert shifts.min() > 0
+        np.testing.assert_allclose((around - centre).mean(axis=0), 0.0, atol=1e-12)
+        np.testing.assert_array_equal(around[:, 3:], np.tile(centre[3:], (len(around), 1)))
+        for place in around:
+            for q in search.configurations(home, place):
+                np.testing.assert_allclose(search.place(q), place, atol=1e-5)
+
+
 def test_goals_are_in_the_ball_and_no_later_than_the_branches(search):
     home = search.model.home
     for centre in targets(search, 20):

@@ -54,6 +54,14 @@ def test_certificate_and_expert_do_not_follow_each_other(ur5):
     assert len(PathCertificate(ur5.model).path(*query, layout.boxes))
 
 
+def test_a_path_is_certified_to_given_configurations(ur5):
+    certificate, goals = PathCertificate(ur5.model), ur5.model.random_configurations(np.random.default_rng(0), 20)
+    path = certificate.path_to(goals, ur5.model.home, NO_BOXES)
+    np.testing.assert_array_equal(path[0], ur5.model.home)
+    assert np.abs(goals - path[-1]).max(axis=1).min() < 1e-9
+    assert not len(certificate.path_to([], ur5.model.home, NO_BOXES))
+
+
 def test_there_is_no_path_into_a_closed_box_or_out_of_reach(ur5):
     certificate, target = PathCertificate(ur5.model, PathCertificateOptions(checks=2000)), np.array((0.5, 0.2, 0.4))
     assert len(certificate.path(ur5.model.home, target, NO_BOXES))
