@@ -1,14 +1,10 @@
-"""Tasks of others: classical policies against agents that are trained here.
+"""Packages that cannot stand beside armctl, each in a virtual environment of its own, made here.
 
-    python benchmarks/other_processes.py gymnasium [--episodes 50] [--seed 300] [--folder other_processes]
-    python benchmarks/other_processes.py goals
-    python benchmarks/other_processes.py metaworld
+    python benchmarks/other_processes.py metaworld [--episodes 50] [--seed 300] [--folder other_processes]
     python benchmarks/other_processes.py safe-control [--source git+https://...]
 
-Packages that cannot stand beside armctl are in a virtual environment of their own, made here. `gymnasium` trains a SAC
-agent for `Reacher-v5` and for `Pusher-v5`, and compares it with `mppi`; `goals` one for reach and push of Fetch and
-Panda, and compares it with a scripted expert: an hour of one core each. `metaworld` does so in Meta-World's reach and
-push: minutes. `safe-control` compares the LQR and the MPC of safe-control-gym,
+`metaworld` trains a SAC agent for reach and for push in the environment's own Python, and compares each with
+Meta-World's scripted expert: minutes of one core. `safe-control` compares the LQR and the MPC of safe-control-gym,
 which is no package of an index: `--source` is what pip installs, such as a clone's folder. What a folder has by now, is
 not made again. Environments and policies are in `examples/other_processes/`.
 """
@@ -36,13 +32,6 @@ SAFE_CONTROL = (
 """Packages that the quadrotor, LQR and MPC import, of those that safe-control-gym requires."""
 SOURCE = "git+https://github.com/utiasDSL/safe-control-gym@e39a5692a2989567b922f3033e50b49242896864"
 TASKS = {"reach": "reach-v3", "push": "push-v3"}
-GYMNASIUM = {"Reacher-v5": 100_000, "Pusher-v5": 100_000}
-"""Control steps of a training in each."""
-GOALS = {
-    "Fetch": ("gymnasium-robotics==1.4.2", "mujoco==3.3.7"),
-    "Panda": ("panda-gym==3.0.7", "pybullet==3.2.7"),
-}
-"""Packages of each robot's tasks, besides those that train."""
 SECONDS = 60.0
 """Time limit of a call."""
 
@@ -62,48 +51,6 @@ def metaworld(episodes: Episodes = 50, seed: int = 300, folder: Folder = Path("o
         policies = {"scripted expert": f"{task.title()}Expert", "SAC": f"{task.title()}Agent"}
         result = comparison(python, code, task, policies, episodes, seed, folder, {"success": "any"})
         rows += [(f"Meta-World {task}", policy) for policy in result.policies]
-    print_rows(rows, episodes, seed)
-
-
-@app.command()
-def gymnasium(episodes: Episodes = 50, seed: int = 300, folder: Folder = Path("other_processes")) -> None:
-    """Compare mppi with agents of Stable-Baselines3 in tasks of Gymnasium."""
-    folder.mkdir(parents=True, exist_ok=True)
-    rows = []
-    for env, steps in GYMNASIUM.items():
-        agent = folder / f"{env}.zip"
-        if not agent.exists():
-            _train_sac(env, steps, agent)
-        result = compare({"MPPI": "mppi", "SAC": agent}, env, episodes=episodes, seed=seed, worlds=10)
-        rows += [(env, policy) for policy in result.policies]
-    print_rows(rows, episodes, seed)
-
-
-def _train_sac(env: str, steps: int, file: Path) -> None:
-    """Train by the settings of RL Zoo for MuJoCo's tasks, in fewer steps, on one core."""
-    import torch
-    from stable_baselines3 import SAC
-
-    torch.set_num_threads(1)
-    model = SAC("MlpPolicy", env, learning_starts=10_000, seed=0, device="cpu")
-    model.learn(steps)
-    model.save(file)
-
-
-@app.command()
-def goals(episodes: Episodes = 50, seed: int = 300, folder: Folder = Path("other_processes")) -> None:
-    """Compare scripted experts with agents of Stable-Baselines3 in reach and push of Fetch and Panda."""
-    code, rows = EXAMPLES / "goal_tasks.py", []
-    for robot, packages in GOALS.items():
-        python = interpreter(folder / robot.lower(), (*packages, "stable-baselines3==2.9.2", "torch==2.13.0"))
-        for task in ("Reach", "Push"):
-            name = f"{robot}{task}"
-            if not (folder / f"{name}.zip").exists():
-                subprocess.run([python, code, name], cwd=folder, check=True, stdout=sys.stderr)
-            policies = {"scripted expert": f"{name}Expert", "SAC": f"{name}Agent"}
-            env = f"{robot.lower()}_{task.lower()}"
-            result = comparison(python, code, env, policies, episodes, seed, folder, {})
-            rows += [(name, policy) for policy in result.policies]
     print_rows(rows, episodes, seed)
 
 
