@@ -116,7 +116,7 @@ def test_names_are_completed(complete, start, found):
     [
         (None, "tol", ["tolerance="]),
         (None, "control=v", ["control=velocity"]),
-        (None, "robot=u", ["robot=ur10", "robot=ur3", "robot=ur5"]),
+        (None, "robot=u", ["robot=ur10", "robot=ur3", "robot=ur5", "robot=ur5_robotiq85"]),
         (None, "goal=", ["goal=False", "goal=True"]),
         (None, "tolerance=", []),
         ("armctl/BridgeCross-v0", "dyn", ["dynamics="]),
