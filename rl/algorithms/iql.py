@@ -36,7 +36,7 @@ class IqlOptions(BcOptions):
     family = "IQL"
     gamma: Share = 0.99
     expectile: Annotated[float, Field(ge=0.5, lt=1)] = 0.8
-    """Of the critic's values in a state: 0.5 is their mean, 1 their maximum."""
+    """Expectile of the critic's values in a state: 0.5 is their mean, 1 their maximum."""
     temperature: Positive = 3.0
     """Logarithm of an action's weight per unit of its advantage."""
     reward_scale: Positive = 0.1

@@ -172,10 +172,10 @@ class Learning:
                 if training.due(self.steps):
                     self.save()
                     training.evaluate(self.actor, self.steps)
-                is_random = is_new and self.steps < options.random_steps
-                proposed, plan = self._explore(observations, plan)
-                if is_random:
+                if is_new and self.steps < options.random_steps:
                     proposed = rng.uniform(-1, 1, (n, actions)).astype(np.float32)
+                else:
+                    proposed, plan = self._explore(observations, plan)
                 previous = observations
                 observations, rewards, done, infos = self._envs.step(proposed)
                 ends = np.flatnonzero(done)
@@ -197,10 +197,8 @@ class Learning:
     @torch.no_grad()
     def _explore(self, observations: NDArray[Any], plan: torch.Tensor) -> tuple[NDArray[np.float32], torch.Tensor]:
         """Return random actions (n, k) from the best ones, and the next plans."""
-        means, stds = self.planner.distribution(torch.as_tensor(observations), plan)
-        actions = (means[:, 0] + stds[:, 0] * torch.randn_like(stds[:, 0])).clamp(-1, 1)
-        later = torch.cat((means[:, 1:], torch.zeros_like(means[:, :1])), dim=1)
-        return actions.numpy(), later.flatten(1)
+        means, stds, later = self.planner.distribution(torch.as_tensor(observations), plan)
+        return (means + stds * torch.randn_like(stds)).clamp(-1, 1).numpy(), later
 
     def _learn(self, batch: dict[str, torch.Tensor]) -> None:
         """Make a gradient step of the model, and one of its prior."""

@@ -1,5 +1,6 @@
 """Networks that plan chunks of actions, and the present chunk as a memory."""
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import torch
@@ -14,7 +15,7 @@ SMALLEST_UNIT = 1e-3
 """Smallest standard deviation of actions that is taken for their unit."""
 
 
-class ChunkNetwork(torch.nn.Module):
+class ChunkNetwork(torch.nn.Module, ABC):
     """Maps observations (n, ...) to environment actions (n, k), which are the next of a chunk.
 
     The `actions` (m, length, k) and `observations` of examples give the unit of chunks. If the `scale` of actions is
@@ -53,13 +54,13 @@ class ChunkNetwork(torch.nn.Module):
         """Return the loss for demonstrated chunks (n, length, k) of environment actions."""
         return self.error(observations, (self._moves(observations, actions) - self.mean) / self.unit)
 
+    @abstractmethod
     def error(self, observations: Any, chunks: torch.Tensor) -> torch.Tensor:
         """Return the loss for demonstrated chunks (n, length * k), in units of their standard deviation."""
-        raise NotImplementedError
 
+    @abstractmethod
     def planned(self, observations: Any) -> torch.Tensor:
         """Return chunks (n, length * k), in units of their standard deviation."""
-        raise NotImplementedError
 
     def plan(self, observations: Any) -> torch.Tensor:
         """Return chunks (n, length, k) of environment actions."""

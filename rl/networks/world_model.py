@@ -130,12 +130,11 @@ class Planner(torch.nn.Module):
 
     def forward(self, observations: Any, plan: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return actions (n, k) in [-1, 1], and the plan of the next control step."""
-        means, _ = self.distribution(observations, plan)
-        later = torch.cat((means[:, 1:], torch.zeros_like(means[:, :1])), dim=1)
-        return means[:, 0], later.flatten(1)
+        means, _, later = self.distribution(observations, plan)
+        return means, later
 
-    def distribution(self, observations: Any, plan: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return means and standard deviations (n, horizon, actions) of the best sequences found."""
+    def distribution(self, observations: Any, plan: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return means and standard deviations (n, k) of the first actions of the best sequences, and the next plan."""
         latents = self.model.encode(observations)[:, None]
         proposed = self._proposals(latents)
         means = plan.unflatten(1, (self._horizon, self.model.actions))
@@ -151,7 +150,8 @@ class Planner(torch.nn.Module):
             chosen = among.gather(1, places[:, :, None, None].expand(-1, -1, *among.shape[2:]))
             means = (weights * chosen).sum(dim=1)
             stds = (weights * (chosen - means[:, None]).square()).sum(dim=1).sqrt().clamp(min=SMALLEST_STD)
-        return means, stds
+        later = torch.cat((means[:, 1:], torch.zeros_like(means[:, :1])), dim=1)
+        return means[:, 0], stds[:, 0], later.flatten(1)
 
     def _proposals(self, latents: torch.Tensor) -> torch.Tensor:
         """Return sequences (horizon, n, from_prior, actions) that the prior draws."""

@@ -62,22 +62,17 @@ class LayoutPool:
 
     def __post_init__(self) -> None:
         k = len(self.feasible)
-        for name, kind, shape in (
-            ("seeds", np.int64, (len(self.seeds),)), ("sizes", np.int64, (len(self.names),)),
-            ("targets", np.float32, (k, 3)), ("counts", np.uint8, (k,)),
-            ("packed", np.float32, (self.counts.sum(), BOX_NUMBERS)), ("feasible", np.bool_, (k,)),
-        ):  # fmt: skip
-            array = getattr(self, name)
-            if array.dtype != kind or array.shape != shape or not np.isfinite(array).all():
-                raise ConfigurationError(f"{name} should be finite numbers {shape}, not {array.dtype} {array.shape}")
+        check_arrays(
+            self,
+            seeds=(np.int64, (len(self.seeds),)), sizes=(np.int64, (len(self.names),)), targets=(np.float32, (k, 3)),
+            counts=(np.uint8, (k,)), packed=(np.float32, (self.counts.sum(), BOX_NUMBERS)), feasible=(np.bool_, (k,)),
+        )  # fmt: skip
         if (self.sizes < 0).any() or self.sizes.sum() != k or self.counts.max(initial=0) > MAX_OBSTACLES:
             raise ConfigurationError(f"parts of {self.sizes} are not {k} layouts of up to {MAX_OBSTACLES} boxes")
         if (self.packed[:, 3:6] <= 0).any():
             raise ConfigurationError("boxes should have half sizes above 0")
         if not all(self.feasible[rows].any() for rows in self.parts.values()):
             raise ConfigurationError("each part should have a feasible layout")
-        for array in (self.sizes, self.targets, self.counts, self.packed, self.feasible):
-            array.setflags(write=False)
 
     @functools.cached_property
     def boxes(self) -> NDArray[np.float32]:
@@ -110,6 +105,15 @@ class LayoutPool:
             return int(rows[episode]) if solvable and episode < len(rows) else -1
         rows = (self._certified if solvable else self.parts)[part]
         return int(rows[place_in_order(seed, episode, len(rows))])
+
+
+def check_arrays(owner: Any, **expected: tuple[type[np.generic], tuple[int, ...]]) -> None:
+    """Make arrays of an object read-only. Raise `ConfigurationError` for one of another type or shape than expected."""
+    for name, (kind, shape) in expected.items():
+        array = getattr(owner, name)
+        if array.dtype != kind or array.shape != shape or not np.isfinite(array).all():
+            raise ConfigurationError(f"{name} should be finite numbers {shape}, not {array.dtype} {array.shape}")
+        array.setflags(write=False)
 
 
 def unpacked(counts: NDArray[np.uint8], packed: NDArray[np.float32], max_boxes: int) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.scene import TILTED_BOX_NUMBERS
-from armctl.tasks.reach.layout_pool import read_shipped, unpacked
+from armctl.tasks.reach.layout_pool import check_arrays, read_shipped, unpacked
 
 ROBOT = "ur5_robotiq85"
 SCENES = (
@@ -51,15 +51,12 @@ class Problems:
 
     def __post_init__(self) -> None:
         k = len(self.feasible)
-        for name, kind, shape in (
-            ("scenes", np.uint8, (k,)), ("numbers", np.uint8, (k,)), ("starts", np.float32, (k, 6)),
-            ("goals", np.float32, (k, 6)), ("counts", np.uint8, (k,)),
-            ("packed", np.float32, (self.counts.sum(), TILTED_BOX_NUMBERS)), ("feasible", np.bool_, (k,)),
-        ):  # fmt: skip
-            array = getattr(self, name)
-            if array.dtype != kind or array.shape != shape or not np.isfinite(array).all():
-                raise ConfigurationError(f"{name} should be finite numbers {shape}, not {array.dtype} {array.shape}")
-            array.setflags(write=False)
+        check_arrays(
+            self,
+            scenes=(np.uint8, (k,)), numbers=(np.uint8, (k,)), starts=(np.float32, (k, 6)),
+            goals=(np.float32, (k, 6)), counts=(np.uint8, (k,)),
+            packed=(np.float32, (self.counts.sum(), TILTED_BOX_NUMBERS)), feasible=(np.bool_, (k,)),
+        )  # fmt: skip
         if self.scenes.max(initial=0) >= len(SCENES) or self.counts.max(initial=0) > MAX_BOXES:
             raise ConfigurationError(f"problems should be of {len(SCENES)} scenes, with up to {MAX_BOXES} boxes")
         if (self.packed[:, 3:6] <= 0).any():
