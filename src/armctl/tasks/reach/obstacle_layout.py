@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armctl import planning
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.kinematics import Workspace
-from armctl.planning import PathCertificate
 from armctl.scene import Boxes
 
 Box = tuple[Array, Array, float]
@@ -68,7 +68,11 @@ def sample_layout(rng: np.random.Generator, workspace: Workspace, tolerance: flo
 
 
 def sample_certified_layout(
-    rng: np.random.Generator, workspace: Workspace, certificate: PathCertificate, tolerance: float, solvable: bool
+    rng: np.random.Generator,
+    workspace: Workspace,
+    certificate: "planning.PathCertificate",
+    tolerance: float,
+    solvable: bool,
 ) -> tuple[ReachLayout, bool]:
     """Sample a layout, rounded as it is observed, and whether it is certified to have a path.
 

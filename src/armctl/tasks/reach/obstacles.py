@@ -13,12 +13,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl import planning
 from armctl.core.arrays import Array
 from armctl.core.options import options
 from armctl.disturbances import episode_of
 from armctl.kinematics import ArmModel
 from armctl.kinematics.clearance import Clearance
-from armctl.planning import PathCertificate
 from armctl.robot_description import ArmDescription
 from armctl.robots.arm import PREFIX, add_collision_pair, build_arm_world, collision_geom
 from armctl.scene import BOX_NUMBERS, Boxes
@@ -188,8 +188,8 @@ class ReachObstaclesTask(ReachTask):
         return Clearance(self._workspace.model)
 
     @functools.cached_property
-    def _certificate(self) -> PathCertificate:
-        return PathCertificate(self._workspace.model)
+    def _certificate(self) -> "planning.PathCertificate":
+        return planning.PathCertificate(self._workspace.model)
 
     def _build(self, description: ArmDescription) -> mujoco.MjModel:
         return build_arm_world(description, self.options.control, furnish)
