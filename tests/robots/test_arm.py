@@ -9,6 +9,7 @@ from armctl.robot_description.joint_profiles import FOLLOWING_ERROR
 from armctl.robots import CONTROLS, Arm, build_arm_world
 from armctl.robots.arm import speed_limits
 from armctl.simulation import Simulation
+from armctl.simulation.control_step import NO_PARTS
 
 from ..kernels.joint_profiles import TICK, trapezoidal_displacement, travel_time
 
@@ -41,7 +42,7 @@ class Rig:
 
     def tick(self, ticks=1):
         """Go on with the last action."""
-        self.simulation.control_step(ticks, self.substeps // TICKS, drives=self.arm.drives)
+        self.simulation.control_step(ticks, self.substeps // TICKS, parts=NO_PARTS._replace(drives=self.arm.drives))
 
     def standstill(self):
         """The action that asks for no motion."""

@@ -103,4 +103,4 @@ class OneWorld:
 
 def _first(infos: Infos) -> Infos:
     """Return the first world's part of a vector environment's infos."""
-    return {key: _first(value) if isinstance(value, dict) else value[0].item() for key, value in infos.items()}
+    return {key: _first(value) if isinstance(value, dict) else value.item(0) for key, value in infos.items()}

@@ -150,7 +150,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self._check_seeded()
         commands = self._disturbed_commands(self._physical(self._checked_numbers(actions)))
         idle = self._finished
-        restart = np.flatnonzero(idle) if idle.any() else None
+        restart = np.flatnonzero(idle) if np.count_nonzero(idle) else None
         awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
         self.task.command(commands)
         self.task.advance(awake)
@@ -264,7 +264,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _mask_paid_terms(self, terms: RewardTerms) -> RewardTerms:
         """Return the terms without repeated payments of terms that are paid once an episode."""
         for name in self.task.paid_once & terms.keys():
-            if not terms[name].any():
+            if not np.count_nonzero(terms[name]):
                 continue
             paid_before = self._paid_terms.setdefault(name, np.zeros(self.num_envs, dtype=bool))
             terms[name] = np.where(paid_before, 0.0, terms[name])
@@ -279,11 +279,14 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _rewards(self, terms: RewardTerms) -> Array:
         """Return the weighted sums of the terms. Raises `EnvironmentFailed` if one is too large or not a number."""
         rewards = np.array([*terms.values()]).reshape(len(terms), self.num_envs)
-        if not np.abs(rewards).max(initial=0.0) <= LARGEST_REWARD:
+        if np.count_nonzero(np.abs(rewards) <= LARGEST_REWARD) < rewards.size:
             self._refuse(terms)
         if self.reward_weights:
             rewards *= np.array([[self.reward_weights.get(name, 1.0)] for name in terms])
-        return self.reward_scale * sum(rewards, start=np.zeros(self.num_envs))
+        total = np.zeros(self.num_envs)
+        for values in rewards:  # one after the other: NumPy's sum would depend on the number of worlds
+            total += values
+        return self.reward_scale * total
 
     def _refuse(self, terms: RewardTerms) -> None:
         for name, rewards in terms.items():

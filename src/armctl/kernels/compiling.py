@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
+from numba.experimental import structref
+from numba.extending import overload
 
 KERNELS = Path(__file__).parent
 
@@ -89,6 +92,40 @@ def _cache_folder() -> Path | None:
 
 
 _FOLDER = _cache_folder()
+
+
+@structref.register
+class _BoundType(types.StructRef):  # type: ignore[misc]
+    """Type of `Bound` in kernels."""
+
+
+class Bound(structref.StructRefProxy):  # type: ignore[misc]
+    """`arguments` of kernels, unboxed once: this takes as long as an array, and each array in them as long again."""
+
+
+structref.define_boxing(_BoundType, Bound)
+
+
+def _new(arguments):
+    """Return `arguments` as a `Bound`, in kernels."""
+
+
+@overload(_new)
+def _new_of_type(arguments):
+    bound_type = _BoundType([("arguments", arguments)])
+
+    def new(arguments):
+        made = structref.new(bound_type)
+        made.arguments = arguments
+        return made
+
+    return new
+
+
+@compiled
+def bound(arguments):
+    """Return `arguments`, a tuple, as a `Bound`, in which arrays stay the same ones."""
+    return _new(arguments)
 
 
 inlined = numba.njit(inline="always")

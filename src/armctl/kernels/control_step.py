@@ -313,8 +313,9 @@ def sample(buffers, samples, target_query, world, tick_number):
 
 
 @compiled
-def control_steps(ids, clock, buffers, worlds, impact, parts):
-    """Advance worlds `ids` by a control step: all other arguments are in this module."""
+def control_steps(ids, bound):
+    """Advance worlds `ids` by a control step; a `Clock`, `StepBuffers`, `Worlds`, `HardImpact` and `Parts` are bound."""
+    clock, buffers, worlds, impact, parts = bound.arguments
     drives, samples, target_query, contacts, poses = parts
     state_before, positions = np.empty(worlds.state.shape[1]), np.empty(len(drives.joints))
     for world in ids:

@@ -18,6 +18,7 @@ from armctl.robot_description.joint_profiles import FOLLOWING_ERROR, TICK
 from armctl.robot_description.meshes import thinness
 from armctl.robots.joints import ActuatorLimits, JointSamples
 from armctl.simulation import Simulation
+from armctl.simulation.control_step import NO_PARTS
 from armctl.simulation.impacts import add_impact_sensors
 from armctl.simulation.planning_model import Connect, Step
 from armctl.simulation.worlds import world_path
@@ -124,7 +125,7 @@ class Arm:
 
     def command(self, actions: Array) -> None:
         """Set actions (n, dof), clipped to their bounds."""
-        setpoints = np.clip(actions, self.action_low, self.action_high, out=self.drives.setpoints)
+        setpoints = np.minimum(np.maximum(actions, self.action_low), self.action_high, out=self.drives.setpoints)
         if self.control == "torque":
             np.copyto(self._velocity_commands, setpoints)
         elif self.control == "delta":
@@ -140,11 +141,11 @@ def _driven(
     """Make n worlds of arms, and what makes their control steps."""
     simulation = Simulation(model, n, threads=1, speed_limits=speed_limits(description))
     arm, ticks = Arm(simulation, description, control, period), round(period / TICK)
-    substeps = round(TICK / model.opt.timestep)
+    substeps, parts = round(TICK / model.opt.timestep), NO_PARTS._replace(drives=arm.drives)
 
     def step(actions: Array) -> None:
         arm.command(actions)
-        simulation.control_step(ticks, substeps, drives=arm.drives)
+        simulation.control_step(ticks, substeps, parts=parts)
 
     return simulation, step
 

@@ -17,6 +17,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from armctl.kernels import control_step as kernel
+from armctl.kernels.compiling import Bound, bound
 from armctl.kernels.control_step import (
     Clock,
     ContactOutput,
@@ -58,28 +59,26 @@ class Stepper:
         self._outputs: dict[str, NDArray[Any]] = {}
         self._process = -1
         self._pool: ThreadPoolExecutor
-        self._buffers: list[StepBuffers] = []
+        self._bound: list[Bound] = []
         self._kept: list[Any] = []
-        self._made_for: tuple[int, int] | None = None
+        self._bound_for: tuple[Any, ...] = ()
         self._time = state_column(batch.model, mujoco.mjtState.mjSTATE_TIME)
 
     def step(self, ids: NDArray[np.int32], ticks: int, substeps: int, parts: Parts = NO_PARTS) -> None:
         """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
-        clock = Clock(ticks, substeps, self._batch.model.opt.timestep, self._time)
         self._worlds.refined[:] = 0
         run: Callable[..., None] = kernel.control_steps
-        rest = self._worlds, self._impact, parts
-        first, *others = self._current_buffers()[: max(1, len(ids))]
+        first, *others = self._bound_to(ticks, substeps, parts)[: max(1, len(ids))]
         if not others:
-            run(ids, clock, first, *rest)
+            run(ids, first)
             return
         shares = iter(np.array_split(ids, SHARES * (1 + len(others))))
 
-        def work(buffers: StepBuffers) -> None:
+        def work(arguments: Bound) -> None:
             for share in shares:
-                run(share, clock, buffers, *rest)
+                run(share, arguments)
 
-        working = [self._threads_of_process().submit(work, buffers) for buffers in others]
+        working = [self._threads_of_process().submit(work, arguments) for arguments in others]
         try:
             work(first)
         finally:
@@ -97,12 +96,16 @@ class Stepper:
             self._process, self._pool = os.getpid(), ThreadPoolExecutor(self._threads - 1)
         return self._pool
 
-    def _current_buffers(self) -> list[StepBuffers]:
-        made_for = len(self._world_fields), len(self._outputs)
-        if made_for != self._made_for:
-            self._made_for, self._kept = made_for, []
-            self._buffers = [self._make_buffers() for _ in range(self._threads)]
-        return self._buffers
+    def _bound_to(self, ticks: int, substeps: int, parts: Parts) -> list[Bound]:
+        """Return the kernel's arguments on each thread."""
+        bound_for = ticks, substeps, id(parts), len(self._world_fields), len(self._outputs)
+        if bound_for != self._bound_for:
+            clock = Clock(ticks, substeps, self._batch.model.opt.timestep, self._time)
+            self._bound_for, self._kept = bound_for, [parts]
+            self._bound = [
+                bound((clock, self._make_buffers(), self._worlds, self._impact, parts)) for _ in range(self._threads)
+            ]
+        return self._bound
 
     def _make_buffers(self) -> StepBuffers:
         model, finer = self._batch.get_model(0), self._batch.get_model(0)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
-from armctl.kernels.control_step import Worlds
+from armctl.kernels.control_step import Parts, Worlds
 from armctl.simulation.control_step import NO_PARTS, Stepper
 from armctl.simulation.impacts import hard_impact
 from armctl.simulation.threads import usable_threads
@@ -139,16 +139,16 @@ class Simulation:
         self._stop_unstable()
         np.copyto(self._good, self._state)
 
-    def control_step(self, ticks: int, substeps: int, ids: WorldIds | None = None, **parts: Any) -> None:
+    def control_step(self, ticks: int, substeps: int, ids: WorldIds | None = None, parts: Parts = NO_PARTS) -> None:
         """Advance worlds with `speed_limits` by `ticks` of `substeps` time steps each, as `step` does for one tick.
 
-        `parts` are those of `armctl.kernels.control_step.Parts`.
+        Other `parts` than those of the last call take milliseconds more.
         """
         if self._stepper is None:
             raise ConfigurationError("control_step is for simulations with speed_limits of joints")
         stable = self._stable(ids)
-        self._stepper.step(self._everywhere if stable is None else stable, ticks, substeps, NO_PARTS._replace(**parts))
-        self.any_unstable = bool(self.unstable.any())
+        self._stepper.step(self._everywhere if stable is None else stable, ticks, substeps, parts)
+        self.any_unstable = bool(np.count_nonzero(self.unstable))
 
     def _stable(self, ids: WorldIds | None) -> WorldIds | None:
         if not self.any_unstable:

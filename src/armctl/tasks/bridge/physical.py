@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from armctl.robots.rover import PARTS, Rover, driven_rovers
 from armctl.simulation import ContactSensors, Simulation
+from armctl.simulation.control_step import NO_PARTS
 from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout
 from armctl.tasks.bridge.options import CONTROL_PERIOD, MOVES
@@ -20,11 +21,11 @@ class PhysicalRover(Rover):
     def __init__(self, simulation: Simulation, furniture: Furniture) -> None:
         super().__init__(simulation)
         self.joints = self.wheel_samples(MOVES, CONTROL_PERIOD)
-        self._poses = furniture.poses
         self._ticks = round(CONTROL_PERIOD / MOVES / simulation.model.opt.timestep)
         self.rollout_worlds = functools.partial(driven_rovers, ticks=MOVES, period=CONTROL_PERIOD)
         """Maker of worlds in which such rovers drive alike, with nothing else on the deck."""
         self._contacts = ContactSensors(simulation, PARTS, CONTACT_CLASSES)
+        self._parts = NO_PARTS._replace(samples=self.joints.part, contacts=self._contacts.part, poses=furniture.poses)
 
     def place(self, ids: Ids, layouts: list[Layout]) -> None:
         """Do nothing: the furniture is in the simulation."""
@@ -37,9 +38,7 @@ class PhysicalRover(Rover):
     def drive(self, ids: Ids | None) -> None:
         """Drive for one control step, in worlds `ids` or in all."""
         self._contacts.forget(ids)
-        self._simulation.control_step(
-            MOVES, self._ticks, ids, samples=self.joints.part, contacts=self._contacts.part, poses=self._poses
-        )
+        self._simulation.control_step(MOVES, self._ticks, ids, self._parts)
 
     def contacts(self) -> NDArray[np.bool_]:
         """Return contacts since the last control step, (n, `PARTS`, `CONTACT_CLASSES`)."""

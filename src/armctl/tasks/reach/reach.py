@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM
-from armctl.kernels.control_step import TargetQuery, distances_as_observed
+from armctl.kernels.control_step import Parts, TargetQuery, distances_as_observed
 from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, Workspace
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.joint_profiles import TICK
@@ -192,10 +192,7 @@ class ReachTask(Task):
     def advance(self, ids: Ids | None) -> None:
         """Simulate until the next control step, in worlds `ids` or in all."""
         self._place_targets(ids)
-        self.simulation.control_step(
-            TICKS, self.substeps // TICKS, ids, drives=self.arm.drives, samples=self.joints.part,
-            target_query=self._target_query, contacts=self._contacts_part,
-        )  # fmt: skip
+        self.simulation.control_step(TICKS, self.substeps // TICKS, ids, self._parts)
         self._nearest = self._target_query.distances.min(axis=0)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
@@ -259,6 +256,14 @@ class ReachTask(Task):
             self.joints.since_last_step(),
             self._target_query.positions.copy(),
         )
+
+    @functools.cached_property
+    def _parts(self) -> Parts:
+        """Inputs and recordings of a control step."""
+        return NO_PARTS._replace(
+            drives=self.arm.drives, samples=self.joints.part, target_query=self._target_query,
+            contacts=self._contacts_part,
+        )  # fmt: skip
 
     @functools.cached_property
     def _minimum_time(self) -> MinimumTimeReach:
