@@ -21,7 +21,7 @@ class ActOptions(ChunkOptions):
     family = "ACT"
     hidden_units: Count = 64
     layers: Count = 2
-    style_weight: NonNegative = 0.1
+    style_weight: NonNegative = 10.0
     """Weight of the divergence of styles from their prior."""
 
     def __post_init__(self) -> None:

@@ -15,7 +15,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.agents import AgentCard
 from armctl.core.arrays import map_arrays
-from armctl.core.options import Positive, Share, options
+from armctl.core.options import Count, Positive, Share, options
 from armctl.datasets.demonstrations import Demonstration
 from armctl.rl.algorithms.bc import BcOptions, check_dataset
 from armctl.rl.algorithms.cloning import fit_and_export, new_actor
@@ -34,13 +34,15 @@ class IqlOptions(BcOptions):
     """Options of implicit Q-learning."""
 
     family = "IQL"
+    steps: Count = 60_000
+    evaluation_every: Count = 15_000
     gamma: Share = 0.99
     expectile: Annotated[float, Field(ge=0.5, lt=1)] = 0.8
     """Expectile of the critic's values in a state: 0.5 is their mean, 1 their maximum."""
     temperature: Positive = 3.0
     """Logarithm of an action's weight per unit of its advantage."""
     reward_scale: Positive = 0.1
-    tau: Share = 0.005
+    tau: Share = 0.01
     """Share by which the critic's target moves in each gradient step."""
 
 

@@ -12,19 +12,19 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field
+from torch.nn.functional import binary_cross_entropy_with_logits
 from tqdm import tqdm
 
 from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, Positive, Share, options
-from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.world_model import GROUP, Planner, WorldModel
 from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.learner import learner
-from armctl.rl.run.options import TrainingOptions
+from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
-from armctl.rl.run.vector import StableBaselinesVectorEnv
+from armctl.rl.run.vector import vec_env_of
 
 CONSISTENCY, REWARD, VALUE = 20.0, 0.1, 0.1
 """Weights of the losses, as in the paper."""
@@ -38,7 +38,7 @@ SCALE_SHARE = 0.01
 
 
 @options
-class TdMpcOptions(TrainingOptions):
+class TdMpcOptions(FrameOptions):
     """Options of TD-MPC2."""
 
     family = "TD-MPC2"
@@ -64,16 +64,16 @@ class TdMpcOptions(TrainingOptions):
     buffer_size: Count = 300_000
     """Size of the replay buffer, transitions; a resumed training starts with an empty one."""
     random_steps: Count = 5_000
-    """Environment steps with random actions, at first."""
+    """Environment steps with random actions, at first; then the gradient steps that they stand for are made."""
     tau: Share = 0.01
     """Share by which the critics' targets move in each gradient step."""
     entropy: Positive = 1e-3
     """Weight of the prior's entropy."""
-    learning_rate: Positive = 3e-4
     reward_scale: Positive = 0.1
     evaluation_every: Count = 20_000
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not max(self.from_prior, self.elites) < self.samples:
             raise ConfigurationError(f"of {self.samples} samples, fewer are from the prior, and fewer are elites")
 
@@ -125,17 +125,18 @@ class Learning:
     def __init__(self, training: Training, options: TdMpcOptions) -> None:
         self.training, self.options, self.steps = training, options, 0
         torch.manual_seed(training.seed)
-        view, space = training.view, training.held_out.single_observation_space
-        self._envs = StableBaselinesVectorEnv(training.envs, view.action_scale)
+        self._envs = vec_env_of(training.envs, training.view, options)
+        seen = self._envs.policy_kwargs(training.view)
         self.model = WorldModel(
-            view.extractor(space), self._envs.action_space.shape[0],
+            seen["features_extractor_class"](self._envs.observation_space, **seen["features_extractor_kwargs"]),
+            self._envs.action_space.shape[0],
             hidden=options.hidden_units, latent=options.latent, critics=options.critics,
         )  # fmt: skip
         self.planner = Planner(
             self.model, gamma=options.gamma, horizon=options.horizon, samples=options.samples,
             from_prior=options.from_prior, elites=options.elites, rounds=options.rounds,
         )  # fmt: skip
-        self.actor = Actor(self.planner, view.action_scale, space, self.planner.memory)
+        self.actor = self._envs.actor(self.planner, training)
         self._targets = copy.deepcopy(self.model.critics).requires_grad_(False)
         self._optimizer, self._prior_optimizer = self._new_optimizers()
         training.meter.watch(self._optimizer)
@@ -164,7 +165,8 @@ class Learning:
         replay = Replay(rows, n, self._envs.observation_space.shape, actions)
         self._envs.seed(training.first_seed(self.steps))
         observations, plan = self._envs.reset(), initial_memory(self.planner.memory, n)[0]
-        is_new, start = self.steps == 0, self.steps
+        is_new, start, due = self.steps == 0, self.steps, 0
+        first = start + max(options.random_steps, options.horizon * n)
         with tqdm(
             total=options.steps, initial=start, desc="td_mpc2", leave=False, disable=not training.shows_bars
         ) as bar:
@@ -190,13 +192,15 @@ class Learning:
                 )  # fmt: skip
                 self.steps += n
                 bar.update(n)
-                if self.steps - start >= options.random_steps:
-                    for _ in range(options.gradient_steps):
-                        self._learn(replay.draw(rng, options.batch_size, options.horizon))
+                due += options.gradient_steps
+                while due and self.steps >= first:
+                    self._learn(replay.draw(rng, options.batch_size, options.horizon))
+                    due -= 1
 
     @torch.no_grad()
     def _explore(self, observations: NDArray[Any], plan: torch.Tensor) -> tuple[NDArray[np.float32], torch.Tensor]:
-        """Return random actions (n, k) from the best ones, and the next plans."""
+        """Return random actions (n, k) from the best ones, and the next plans. Each draws its own random numbers."""
+        self.planner.draw_noise()
         means, stds, later = self.planner.distribution(torch.as_tensor(observations), plan)
         return (means + stds * torch.randn_like(stds)).clamp(-1, 1).numpy(), later
 
@@ -222,6 +226,8 @@ class Learning:
             inputs = torch.cat((latent, batch["actions"][t]), dim=-1)
             latent = model.dynamics(inputs)
             losses = CONSISTENCY * (latent - following[t]).square().mean(dim=-1)
+            ended = model.ended(latent)[..., 0]
+            losses = losses + binary_cross_entropy_with_logits(ended, batch["terminated"][t], reduction="none")
             losses = losses + REWARD * model.reward.loss(inputs, batch["rewards"][t])
             values = sum(critic.loss(inputs, returns[t]) for critic in model.critics)
             losses = losses + VALUE * values / len(model.critics)
@@ -246,8 +252,11 @@ class Learning:
     def _new_optimizers(self) -> tuple[torch.optim.Optimizer, torch.optim.Optimizer]:
         model, rate = self.model, self.options.learning_rate
         seeing = [*model.features.parameters(), *model.encoder.parameters()]
-        others = [*model.dynamics.parameters(), *model.reward.parameters(), *model.critics.parameters()]
-        groups = [{"params": seeing, "lr": ENCODER_RATE * rate}, {"params": others}]
+        others = [model.dynamics, model.reward, model.critics, model.ended]
+        groups = [
+            {"params": seeing, "lr": ENCODER_RATE * rate},
+            {"params": [parameter for part in others for parameter in part.parameters()]},
+        ]
         return torch.optim.Adam(groups, rate), torch.optim.Adam(model.prior.parameters(), rate)
 
     @staticmethod

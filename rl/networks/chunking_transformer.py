@@ -68,7 +68,7 @@ class ChunkingTransformer(ChunkNetwork):
         self.queries = torch.nn.Parameter(0.02 * torch.randn(self.length, width))
         self.encoder = torch.nn.ModuleList(Block(width) for _ in range(blocks))
         self.decoder = torch.nn.ModuleList(Block(width) for _ in range(blocks))
-        self.last = torch.nn.Linear(width, self.count)
+        self.last = torch.nn.Sequential(torch.nn.LayerNorm(width), torch.nn.Linear(width, self.count))
 
     def error(self, observations: Any, chunks: torch.Tensor) -> torch.Tensor:
         """Return the mean absolute error of chunks (n, length * k), and the divergence of their styles."""

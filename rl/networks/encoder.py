@@ -34,13 +34,17 @@ class Encoder(torch.nn.Module, ABC):
 
 
 class Encoded(torch.nn.Module):
-    """A network of encoded observations, as a network of observations and memory."""
+    """A network of encoded observations, as a network of observations and memory, of which it may have some itself."""
 
     def __init__(self, encoder: Encoder, network: torch.nn.Module) -> None:
         super().__init__()
         self.encoder, self.network = encoder, network
+        self.memory = {**encoder.memory, **getattr(network, "memory", {})}
 
     def forward(self, observation: Any, *memory: torch.Tensor) -> Any:
         """Return actions (n, ...) in [-1, 1], and the next memory if there is one."""
-        encoded, *next_memory = self.encoder(observation, *memory)
-        return (self.network(encoded), *next_memory) if memory else self.network(encoded)
+        count = len(self.encoder.memory)
+        encoded, *encoders = self.encoder(observation, *memory[:count])
+        result = self.network(encoded, *memory[count:])
+        actions, *networks = result if isinstance(result, tuple) else (result,)
+        return (actions, *encoders, *networks) if memory else actions

@@ -19,9 +19,9 @@ BINS, LARGEST = 41, 6.0
 LOG_STD = (-5.0, 1.0)
 """Range of the logarithm of the prior's standard deviations."""
 TEMPERATURE = 0.5
-"""Difference of values by which a sequence's weight falls to 1/e."""
-SMALLEST_STD = 0.05
-"""Standard deviation of actions that planning never goes below."""
+"""Difference of values by which a sequence's weight falls to 1/e: a quarter of the paper's, for few samples."""
+SMALLEST_STD, FIRST_STD = 0.05, 2.0
+"""Standard deviation of actions that planning never goes below, and that of its first round."""
 PLAN = "plan"
 """Name of the planner's memory: the actions that it means to take next."""
 
@@ -35,11 +35,12 @@ class Shares(torch.nn.Module):
 
 
 def normed_layers(sizes: list[int], last: int, end: torch.nn.Module | None = None) -> torch.nn.Sequential:
-    """Return linear layers, each normed and followed by Mish, a last one, and what follows that."""
+    """Return linear layers, each normed and followed by Mish, and a last one; `end` follows that, normed too."""
     layers: list[torch.nn.Module] = []
     for inputs, outputs in itertools.pairwise(sizes):
         layers += [torch.nn.Linear(inputs, outputs), torch.nn.LayerNorm(outputs), torch.nn.Mish()]
-    return torch.nn.Sequential(*layers, torch.nn.Linear(sizes[-1], last), *([end] if end else []))
+    layers.append(torch.nn.Linear(sizes[-1], last))
+    return torch.nn.Sequential(*layers, *([torch.nn.LayerNorm(last), end] if end else []))
 
 
 def symlog(values: torch.Tensor) -> torch.Tensor:
@@ -74,7 +75,7 @@ class Binned(torch.nn.Module):
 
 
 class WorldModel(torch.nn.Module):
-    """Encoder, dynamics, reward, critics and a prior of actions in [-1, 1]."""
+    """Encoder, dynamics, reward, critics, whether an episode has ended, and a prior of actions in [-1, 1]."""
 
     def __init__(
         self, features: BaseFeaturesExtractor, actions: int, *, hidden: int, latent: int, critics: int
@@ -86,6 +87,9 @@ class WorldModel(torch.nn.Module):
         self.dynamics = normed_layers(sizes, latent, Shares())
         self.reward = Binned(sizes)
         self.critics = torch.nn.ModuleList(Binned(sizes) for _ in range(critics))
+        self.ended = normed_layers([latent, hidden, hidden], 1)
+        torch.nn.init.zeros_(self.ended[-1].weight)
+        torch.nn.init.zeros_(self.ended[-1].bias)
         self.prior = normed_layers([latent, hidden, hidden], 2 * actions)
 
     def encode(self, observations: Any) -> torch.Tensor:
@@ -99,21 +103,25 @@ class WorldModel(torch.nn.Module):
         return means, low + (high - low) * (log_stds.tanh() + 1) / 2
 
     def imagined(self, latents: torch.Tensor, actions: torch.Tensor, gamma: float) -> torch.Tensor:
-        """Return the values (...,) of actions (horizon, ..., actions) from latents, and of the prior afterwards."""
-        total = torch.zeros_like(latents[..., 0])
+        """Return the values (...,) of actions (horizon, ..., actions) from latents, and of the prior afterwards.
+
+        What comes after an episode's end counts for nothing.
+        """
+        total, goes_on = torch.zeros_like(latents[..., 0]), torch.ones_like(latents[..., 0])
         for t in range(len(actions)):
             inputs = torch.cat((latents, actions[t]), dim=-1)
-            total = total + gamma**t * self.reward(inputs)
+            total = total + gamma**t * goes_on * self.reward(inputs)
             latents = self.dynamics(inputs)
+            goes_on = goes_on * (self.ended(latents)[..., 0] <= 0)
         last = torch.cat((latents, self.spread(latents)[0].tanh()), dim=-1)
         values = torch.stack([critic(last) for critic in self.critics])
-        return total + gamma ** len(actions) * values.mean(dim=0)
+        return total + gamma ** len(actions) * goes_on * values.mean(dim=0)
 
 
 class Planner(torch.nn.Module):
     """Plans in a model at each control step, from the last plan on: the network of an agent.
 
-    Of `samples` sequences of `horizon` actions, `from_prior` are those of the model's prior.
+    Of `samples` sequences of `horizon` actions, `from_prior` are those of the model's prior, the first one its means.
     """
 
     noise: torch.Tensor
@@ -125,8 +133,14 @@ class Planner(torch.nn.Module):
         super().__init__()
         self.model, self._gamma, self._horizon, self._elites, self._rounds = model, gamma, horizon, elites, rounds
         self.memory = {PLAN: (horizon * model.actions,)}
-        self.register_buffer("noise", torch.randn(rounds, horizon, samples - from_prior, model.actions))
-        self.register_buffer("prior_noise", torch.randn(horizon, from_prior, model.actions))
+        self.register_buffer("noise", torch.empty(rounds, horizon, samples - from_prior, model.actions))
+        self.register_buffer("prior_noise", torch.empty(horizon, from_prior, model.actions))
+        self.draw_noise()
+
+    def draw_noise(self) -> None:
+        """Draw other random numbers."""
+        self.noise.normal_()
+        self.prior_noise.normal_()[:, 0] = 0.0
 
     def forward(self, observations: Any, plan: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return actions (n, k) in [-1, 1], and the plan of the next control step."""
@@ -138,7 +152,7 @@ class Planner(torch.nn.Module):
         latents = self.model.encode(observations)[:, None]
         proposed = self._proposals(latents)
         means = plan.unflatten(1, (self._horizon, self.model.actions))
-        stds = torch.ones_like(means)
+        stds = torch.full_like(means, FIRST_STD)
         many = latents.expand(-1, self.noise.shape[2] + self.prior_noise.shape[1], -1)
         for noise in self.noise:
             around = means.transpose(0, 1)[:, :, None] + stds.transpose(0, 1)[:, :, None] * noise[:, None]

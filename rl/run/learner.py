@@ -48,7 +48,7 @@ def learner(
             if recipe.filter is not False and not explores:
                 raise ConfigurationError(
                     f"{recipe.learner} does not explore in the training's worlds, and takes no filter: ppo, "
-                    "cloned_ppo, distil, distilled_ppo, finetuned_ppo and sac do"
+                    "cloned_ppo, distil, distilled_ppo, finetuned_ppo, sac and td_mpc2 do"
                 )
             check(recipe, options)
             return function(Training(recipe, options, out, seed, resume, on_evaluation, progress), options)
@@ -61,5 +61,5 @@ def learner(
 def _check_no_rewards(recipe: Recipe) -> None:
     if recipe.shaping or recipe.reward_weights or any(stage.reward_weights for stage in recipe.curriculum):
         raise ConfigurationError(
-            f"{recipe.learner} does not learn from rewards: it takes neither shaping nor reward_weights"
+            f"{recipe.learner} earns no rewards in training: it takes neither shaping nor reward_weights"
         )

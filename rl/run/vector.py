@@ -40,7 +40,8 @@ class StableBaselinesVectorEnv(VecEnv):
 
     def actor(self, network: torch.nn.Module, training: Training) -> Actor:
         """Return an actor for a training's held-out worlds, with a network of what these worlds show."""
-        return Actor(network, training.view.action_scale, training.held_out.single_observation_space)
+        space, memory = training.held_out.single_observation_space, getattr(network, "memory", None)
+        return Actor(network, training.view.action_scale, space, memory)
 
     def executed(self, actions: NDArray[Any]) -> Any:
         """Return the last `actions` (n, k), with those that the safety filter put in their place, up to [-1, 1]."""
@@ -87,9 +88,8 @@ class EncodedVectorEnv(StableBaselinesVectorEnv):
 
     def actor(self, network: torch.nn.Module, training: Training) -> Actor:
         """Return an actor for a training's held-out worlds, with a network of encoded observations."""
-        view, space = training.view, training.held_out.single_observation_space
-        encoder = self.encoder.rebuilt_for(view, space)
-        return Actor(Encoded(encoder, network), view.action_scale, space, encoder.memory)
+        encoder = self.encoder.rebuilt_for(training.view, training.held_out.single_observation_space)
+        return super().actor(Encoded(encoder, network), training)
 
     def _encoded(self, observations: Any) -> Any:
         with torch.no_grad():

@@ -69,6 +69,30 @@ def test_the_planner_finds_what_the_model_rewards():
     torch.testing.assert_close(plan[:, 4:], torch.zeros(5, 2))  # what was planned moves up
 
 
+def test_what_comes_after_an_episode_counts_for_nothing():
+    torch.manual_seed(0)
+    model = WorldModel(FlattenExtractor(spaces.Box(-1, 1, (2,), np.float32)), 2, hidden=16, latent=8, critics=2)
+    for part in (model.reward, *model.critics):
+        torch.nn.init.normal_(part.layers[-1].weight)
+    latents, actions = torch.full((6, 8), 0.125), torch.randn(3, 6, 2)
+    with torch.no_grad():
+        going_on = model.imagined(latents, actions, 0.9)
+        first = model.reward(torch.cat((latents, actions[0]), dim=-1))
+        model.ended[-1].bias.fill_(1.0)
+        torch.testing.assert_close(model.imagined(latents, actions, 0.9), first)
+    assert (going_on != first).all()
+
+
+def test_new_noise_is_another_and_has_the_priors_own_plan():
+    model = WorldModel(FlattenExtractor(spaces.Box(-1, 1, (2,), np.float32)), 2, hidden=16, latent=8, critics=2)
+    planner = Planner(model, gamma=0.9, horizon=3, samples=16, from_prior=4, elites=4, rounds=2)
+    before = planner.noise.clone()
+    planner.draw_noise()
+    assert (planner.noise != before).all()
+    assert not planner.prior_noise[:, 0].any()
+    assert planner.prior_noise[:, 1:].all()
+
+
 def test_fewer_are_elites_than_are_sampled():
     with pytest.raises(ConfigurationError, match="of 16 samples, fewer are from the prior, and fewer are elites"):
         TdMpcOptions(samples=16, elites=16)
@@ -78,10 +102,11 @@ def test_fewer_are_elites_than_are_sampled():
 def test_a_training_gives_an_agent_that_plays_the_same_alone_and_among_others(tmp_path):
     planning = {"samples": 12, "from_prior": 4, "elites": 4, "rounds": 2}
     sizes = {"worlds": 8, "hidden_units": 32, "latent": 16, "batch_size": 16}
-    options = JUDGED | planning | sizes | {"steps": 160, "evaluation_every": 80, "random_steps": 64}
+    options = JUDGED | planning | sizes | {"steps": 160, "evaluation_every": 80, "random_steps": 64, "frames": 2}
     recipe = small("reach_ppo").changed(learner="td_mpc2", options=options)
     card = train(recipe, out=tmp_path / "run", seed=0, progress=False)
-    assert (card.family, card.memory, card.training_steps) == ("TD-MPC2", {"plan": [18]}, 160)
+    assert (card.family, card.training_steps) == ("TD-MPC2", 160)
+    assert card.memory == {"past_observation": [1, 12], "begun": [1], "plan": [18]}
     resumed = train(recipe.changed(options=recipe.options | {"steps": 320}), out=tmp_path / "run", seed=0, resume=True,
                     progress=False)  # fmt: skip
     assert resumed.training_steps == 320
