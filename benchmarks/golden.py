@@ -76,6 +76,7 @@ def cases() -> Iterator[tuple[str, dict[str, Any], str, int, int]]:
         yield PUSH, {}, policy, 3, 150
     for policy in ("bridge_ompl", "bridge_mpc", "random"):
         yield BARN, {"observation": "state"}, policy, 2, 60
+    yield BARN, {}, "bridge_ompl", 2, 60
     yield PUSH, {"robot": "panda"}, "push_line", 2, 100
     yield PUSH, {"shaping": "push"}, "random", 2, 40
     for policy in ("lift_grasp", "random"):

@@ -65,6 +65,10 @@ bridge_robust_ppo = _agent(
 bridge_moving_state_ppo = _agent(
     "bridge_moving_state_ppo", "PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state.", "state"
 )
+barn_ppo = _agent(
+    "barn_ppo",
+    "`bridge_distil`, improved by PPO on `armctl/BarnCross-v0`; it sees the depth camera and its own motion.",
+)
 bridge_distil = _agent(
     "bridge_distil",
     "`bridge_state_ppo`, distilled into a network with a memory; it sees the depth camera and its own motion.",

@@ -314,7 +314,7 @@ def sample(buffers, samples, target_query, world, tick_number):
 
 @compiled
 def control_steps(ids, bound):
-    """Advance worlds `ids` by a control step; a `Clock`, `StepBuffers`, `Worlds`, `HardImpact` and `Parts` are bound."""
+    """Advance worlds `ids` by a control step. Bound are `Clock`, `StepBuffers`, `Worlds`, `HardImpact` and `Parts`."""
     clock, buffers, worlds, impact, parts = bound.arguments
     drives, samples, target_query, contacts, poses = parts
     state_before, positions = np.empty(worlds.state.shape[1]), np.empty(len(drives.joints))

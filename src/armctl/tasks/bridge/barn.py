@@ -48,7 +48,7 @@ class BarnTask(BridgeTask):
     options: BarnOptions
     options_type: ClassVar[type[Any]] = BarnOptions
     instruction = "Drive through the field to the goal line without touching anything."
-    default_policies = ("bridge_ompl", "bridge_dwa", "random")
+    default_policies = ("bridge_ompl", "barn_ppo", "random")
 
     def _sample_episode(self, rng: np.random.Generator) -> Layout:
         options = self.options
