@@ -126,9 +126,9 @@ class Learning:
         self.training, self.options, self.steps = training, options, 0
         torch.manual_seed(training.seed)
         self._envs = vec_env_of(training.envs, training.view, options)
-        seen = self._envs.policy_kwargs(training.view)
+        sight = self._envs.policy_kwargs(training.view)
         self.model = WorldModel(
-            seen["features_extractor_class"](self._envs.observation_space, **seen["features_extractor_kwargs"]),
+            sight["features_extractor_class"](self._envs.observation_space, **sight["features_extractor_kwargs"]),
             self._envs.action_space.shape[0],
             hidden=options.hidden_units, latent=options.latent, critics=options.critics,
         )  # fmt: skip
@@ -226,8 +226,8 @@ class Learning:
             inputs = torch.cat((latent, batch["actions"][t]), dim=-1)
             latent = model.dynamics(inputs)
             losses = CONSISTENCY * (latent - following[t]).square().mean(dim=-1)
-            ended = model.ended(latent)[..., 0]
-            losses = losses + binary_cross_entropy_with_logits(ended, batch["terminated"][t], reduction="none")
+            end_logits = model.termination(latent)[..., 0]
+            losses = losses + binary_cross_entropy_with_logits(end_logits, batch["terminated"][t], reduction="none")
             losses = losses + REWARD * model.reward.loss(inputs, batch["rewards"][t])
             values = sum(critic.loss(inputs, returns[t]) for critic in model.critics)
             losses = losses + VALUE * values / len(model.critics)
@@ -252,7 +252,7 @@ class Learning:
     def _new_optimizers(self) -> tuple[torch.optim.Optimizer, torch.optim.Optimizer]:
         model, rate = self.model, self.options.learning_rate
         seeing = [*model.features.parameters(), *model.encoder.parameters()]
-        others = [model.dynamics, model.reward, model.critics, model.ended]
+        others = [model.dynamics, model.reward, model.critics, model.termination]
         groups = [
             {"params": seeing, "lr": ENCODER_RATE * rate},
             {"params": [parameter for part in others for parameter in part.parameters()]},

@@ -87,9 +87,9 @@ class WorldModel(torch.nn.Module):
         self.dynamics = normed_layers(sizes, latent, Shares())
         self.reward = Binned(sizes)
         self.critics = torch.nn.ModuleList(Binned(sizes) for _ in range(critics))
-        self.ended = normed_layers([latent, hidden, hidden], 1)
-        torch.nn.init.zeros_(self.ended[-1].weight)
-        torch.nn.init.zeros_(self.ended[-1].bias)
+        self.termination = normed_layers([latent, hidden, hidden], 1)
+        torch.nn.init.zeros_(self.termination[-1].weight)
+        torch.nn.init.zeros_(self.termination[-1].bias)
         self.prior = normed_layers([latent, hidden, hidden], 2 * actions)
 
     def encode(self, observations: Any) -> torch.Tensor:
@@ -112,7 +112,7 @@ class WorldModel(torch.nn.Module):
             inputs = torch.cat((latents, actions[t]), dim=-1)
             total = total + gamma**t * goes_on * self.reward(inputs)
             latents = self.dynamics(inputs)
-            goes_on = goes_on * (self.ended(latents)[..., 0] <= 0)
+            goes_on = goes_on * (self.termination(latents)[..., 0] <= 0)
         last = torch.cat((latents, self.spread(latents)[0].tanh()), dim=-1)
         values = torch.stack([critic(last) for critic in self.critics])
         return total + gamma ** len(actions) * goes_on * values.mean(dim=0)

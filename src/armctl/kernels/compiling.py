@@ -115,9 +115,9 @@ def _new_of_type(arguments):
     bound_type = _BoundType([("arguments", arguments)])
 
     def new(arguments):
-        made = structref.new(bound_type)
-        made.arguments = arguments
-        return made
+        result = structref.new(bound_type)
+        result.arguments = arguments
+        return result
 
     return new
 

@@ -78,7 +78,7 @@ def test_what_comes_after_an_episode_counts_for_nothing():
     with torch.no_grad():
         going_on = model.imagined(latents, actions, 0.9)
         first = model.reward(torch.cat((latents, actions[0]), dim=-1))
-        model.ended[-1].bias.fill_(1.0)
+        model.termination[-1].bias.fill_(1.0)
         torch.testing.assert_close(model.imagined(latents, actions, 0.9), first)
     assert (going_on != first).all()
 

@@ -259,11 +259,8 @@ class ReachTask(Task):
 
     @functools.cached_property
     def _parts(self) -> Parts:
-        """Inputs and recordings of a control step."""
-        return NO_PARTS._replace(
-            drives=self.arm.drives, samples=self.joints.part, target_query=self._target_query,
-            contacts=self._contacts_part,
-        )  # fmt: skip
+        parts = NO_PARTS._replace(drives=self.arm.drives, samples=self.joints.part)
+        return parts._replace(target_query=self._target_query, contacts=self._contacts_part)
 
     @functools.cached_property
     def _minimum_time(self) -> MinimumTimeReach:
