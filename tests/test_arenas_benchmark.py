@@ -107,7 +107,7 @@ def test_a_cube_is_pushed_to_the_goal(name, size, seed):
 def test_the_hand_goes_straight_to_the_goal():
     table = Table(np.random.default_rng(0), 4)
     expert = experts("goal_experts").Reach(table)
-    observation = {"achieved_goal": table.hand, "desired_goal": table.hand + [0.02, -0.5, 0.0]}
+    observation = {"achieved_goal": table.hand, "desired_goal": table.hand + np.array([0.02, -0.5, 0.0])}
     assert expert.act(observation) == pytest.approx([0.4, -1.0, 0.0, 0.0])
 
 

@@ -9,6 +9,7 @@ STEP = 0.05
 """m that the hand moves for an action of 1."""
 HEIGHT, ROOM, NEAR = 0.1, 0.02, 0.03
 """m that the hand passes above the cube; free space behind it; distance from the goal at which the hand stops."""
+UP = np.array([0.0, 0.0, 1.0])
 BRAKE = 1.5
 """Control steps that the cube's speed is taken to last."""
 
@@ -66,8 +67,8 @@ class Push(Reach):
         if is_above:
             return self.towards(behind - offset)
         if offset[2] < HEIGHT / 2:
-            return self.towards(np.array([0.0, 0.0, HEIGHT]))
-        return self.towards(behind + [0.0, 0.0, HEIGHT] - offset)
+            return self.towards(HEIGHT * UP)
+        return self.towards(behind + HEIGHT * UP - offset)
 
 
 class FetchPush(Push):

@@ -10,7 +10,7 @@ import numpy as np
 LINKS = 0.1, 0.11
 """Lengths of Reacher's links, m."""
 MOTOR = 200.0
-"""rad/s^2 of a joint of Reacher's for an action of 1: the gear over the armature, beside which the links weigh little."""
+"""rad/s^2 of a joint of Reacher's for an action of 1: gear over armature, beside which links weigh little."""
 
 
 class Reacher:
@@ -53,7 +53,7 @@ def wrapped(angle):
 class Pusher:
     """Leans the fork on the cylinder from behind: inverse kinematics by damped least squares, and computed torque.
 
-    In Pusher the cylinder gives way slowly, some 3 mm in a control step, since it weighs 8 mg and its joints are damped.
+    The cylinder gives way slowly, at most some 3 mm in a control step: it weighs 8 mg, and its joints are damped.
     """
 
     stiffness, damping = 7.0, 6.0
