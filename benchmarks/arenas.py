@@ -1,7 +1,7 @@
 """Standard arenas: classical policies against agents by RL Zoo's settings, in tasks of others with published numbers.
 
     python benchmarks/arenas.py reacher|pusher|fetch-reach|fetch-push|panda-reach|panda-push
-        [--episodes 100] [--seed 300] [--trainings 1] [--folder arenas]
+        [--episodes 100] [--seed 300] [--trainings 1] [--steps N] [--folder arenas]
 
 A command makes the virtual environment that its task needs, trains SAC there, converts it into agents of armctl's, and
 plays all policies in the same episodes here. What a folder has by now, is not made again. Environments of
@@ -63,7 +63,7 @@ def main(
     name: Annotated[str, typer.Argument(metavar="|".join(ARENAS))],
     episodes: Annotated[int, typer.Option(min=1)] = 100,
     seed: int = 300,
-    trainings: Annotated[int, typer.Option(min=1, help="Number of training seeds.")] = 1,
+    trainings: Annotated[int, typer.Option(min=0, help="Number of training seeds; 0: no agent plays.")] = 1,
     steps: Annotated[int | None, typer.Option(min=1, help="Control steps of a training.")] = None,
     folder: Path = Path("arenas"),
 ) -> None:
@@ -77,7 +77,7 @@ def main(
     policies: dict[str, Any] = {
         label: str(EXAMPLES / policy) if ":" in policy else policy for label, policy in arena.experts.items()
     }
-    if arena.steps:
+    if arena.steps and trainings:
         recipe = folder / f"{name}-sac"
         for number in range(trainings):
             trained(python, arena.env, env, Path(f"{recipe}-{number}"), steps or arena.steps)
@@ -93,8 +93,7 @@ def trained(python: Path, name: str, env: str, home: Path, steps: int) -> None:
     if not (home / "model.zip").exists():
         seed = home.name.rpartition("-")[2]
         code = EXAMPLES / "zoo_sac.py"
-        command = [python, code, name, home, "--steps", str(steps), "--seed", seed]
-        subprocess.run(command, check=True, stdout=sys.stderr)
+        subprocess.run([python, code, name, home, f"--steps={steps}", f"--seed={seed}"], check=True, stdout=sys.stderr)
     model = home / "model.zip"
     load_exporter(model)(ModelExport(model, env, home / "agent.onnx", trust=True))
 
