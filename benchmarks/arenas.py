@@ -21,6 +21,7 @@ from printing import markdown_table, show
 
 import armctl
 from armctl.core.errors import unknown_name
+from armctl.stats.intervals import Estimate
 from armctl.study import compare
 from armctl.study.comparison import Comparison
 from armctl.training.learners import ModelExport, load_exporter
@@ -103,18 +104,25 @@ def print_result(result: Comparison) -> None:
     table = markdown_table("policy", "success %", "return", "median return", "control steps", "decision")
     for policy in result.policies:
         returns = result.counted[policy.policy].column("total_reward")
-        success, median = policy.success, policy.median_return
         table.add_row(
             policy.policy,
-            f"{100 * success.value:.0f} ({100 * success.low:.0f} to {100 * success.high:.0f})" if success else "-",
+            "-" if policy.success is None else with_interval(policy.success, 100, ".0f"),
             f"{returns.mean():.2f} ± {returns.std():.2f}",
-            f"{median.value:.2f} ({median.low:.2f} to {median.high:.2f})" if median else "-",
+            "-" if policy.median_return is None else with_interval(policy.median_return, 1, ".2f"),
             f"{policy.length.value:.1f}" if policy.length else "-",
             milliseconds(policy.decision_ms_p50),
         )
     show(table)
     print(result.verdict)
     print(f"{result.policies[0].episodes} episodes of seed {result.seed}, armctl {armctl.__version__}")
+
+
+def with_interval(estimate: Estimate, factor: float, digits: str) -> str:
+    """Return an estimate in words, with its interval if it has one."""
+    value, *ends = (
+        f"{factor * number:{digits}}" for number in (estimate.value, estimate.low, estimate.high) if number is not None
+    )
+    return f"{value} ({' to '.join(ends)})" if len(ends) > 1 else value
 
 
 if __name__ == "__main__":
