@@ -1,6 +1,6 @@
 """Scripted experts of Gymnasium's `Reacher-v5` and `Pusher-v5`, whose actions are torques.
 
-Both read the observation alone. They know the arm as its file of MuJoCo's describes it: lengths, joints and motors.
+Both read the observation, and know the arm as MuJoCo's file describes it: lengths, joints and motors.
 """
 
 import gymnasium
@@ -20,6 +20,7 @@ class Reacher:
     with k = r^-1/2.
     """
 
+    sees = "model"
     gain = 0.3
     """k, 1/rad."""
 
@@ -56,6 +57,7 @@ class Pusher:
     The cylinder gives way slowly, at most some 3 mm in a control step: it weighs 8 mg, and its joints are damped.
     """
 
+    sees = "model"
     stiffness, damping = 7.0, 6.0
     """Of the joints, 1/s^2 and 1/s."""
     softness = 0.07
