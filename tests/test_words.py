@@ -59,7 +59,7 @@ PUBLIC_WORLDS = {
     ),
     *(CORE / file for file in ("study/reproduce.py", "rollout/loop.py", "verdict/decision_summary.py")),
     *(HOME / "rl" / file for file in ("algorithms/plan_bc.py", "algorithms/sac.py", "algorithms/td_mpc2.py")),
-    *(HOME / "rl" / file for file in ("data/demonstrations.py", "run/options.py")),
+    *(HOME / "rl" / file for file in ("algorithms/imagined_dagger.py", "data/demonstrations.py", "run/options.py")),
     *(HOME / "benchmarks" / file for file in ("planar.py", "soak.py", "throughput.py")),
 }
 """Files with that option or column."""

@@ -48,6 +48,7 @@ obstacles_plan_bc = _agent(
     "model",
 )
 lift_bc = _agent("lift_bc", "Behaviour cloning on `armctl/ArmLift-v0`, from `lift_grasp` without its memory.")
+pose_dagger = _agent("pose_dagger", "DAgger on `armctl/ArmPose-v0`, in imagination, labelled by inverse kinematics.")
 push_bc = _agent("push_bc", "Behaviour cloning on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 obstacles_ppo = _agent(
     "obstacles_ppo",

@@ -9,6 +9,7 @@ from tqdm import tqdm
 
 from armctl.agents import AgentCard
 from armctl.rl.networks.actor import Actor, tensors
+from armctl.rl.networks.gains import GainNetwork
 from armctl.rl.networks.layers import hidden_layers
 from armctl.rl.run.disk import torch_bytes
 from armctl.rl.run.options import TrainingOptions
@@ -18,15 +19,17 @@ LAST_RATE = 0.02
 """Share of the learning rate that remains at the end of a fit."""
 
 
-def new_actor(training: Training, options: TrainingOptions) -> Actor:
-    """Make an untrained actor."""
+def new_actor(training: Training, options: TrainingOptions, gains: bool = False, kind: type[Actor] = Actor) -> Actor:
+    """Make an untrained actor, whose network gives actions, or `gains` on errors (see `GainNetwork`)."""
     torch.manual_seed(training.seed)
     view, space = training.view, training.held_out.single_observation_space
     features = view.extractor(space)
-    sizes = [features.features_dim] + [options.hidden_units] * options.layers
-    actions = training.held_out.single_action_space.shape[0]
+    hidden, actions = [options.hidden_units] * options.layers, training.held_out.single_action_space.shape[0]
+    if gains:
+        return kind(GainNetwork(features, hidden, actions), view.action_scale, space)
+    sizes = [features.features_dim, *hidden]
     network = torch.nn.Sequential(features, *hidden_layers(sizes), torch.nn.Linear(sizes[-1], actions))
-    return Actor(network, view.action_scale, space)
+    return kind(network, view.action_scale, space)
 
 
 class Samples(Protocol):

@@ -77,10 +77,7 @@ class Examples:
 
     @functools.cached_property
     def _slices(self) -> dict[str, slice]:
-        """Places of the observation's parts."""
-        sizes = {name: part.shape[1] for name, part in self.task.observation_parts().items()}
-        ends = itertools.accumulate(sizes.values())
-        return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+        return slices_of_parts(self.task)
 
     def draw(self, rng: np.random.Generator, size: int) -> tuple[Any, torch.Tensor]:
         """Return a random batch of observations and actions (size, ...).
@@ -102,6 +99,13 @@ class Examples:
                     observations[other, parts[goal]] = achieved[other, parts[place]]
             actions[other] = achieved[other, parts["joint_positions"]]
         return tensors(observations), torch.as_tensor(actions)
+
+
+def slices_of_parts(task: Any) -> dict[str, slice]:
+    """Return the places of the parts of a task's observation, by name."""
+    sizes = {name: part.shape[1] for name, part in task.observation_parts().items()}
+    ends = itertools.accumulate(sizes.values())
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 def examples_for(training: Training, options: CloningOptions) -> Examples:

@@ -14,6 +14,9 @@ from armctl.core.arrays import Observations, map_arrays
 from armctl.envs import Sees
 from armctl.rl.networks.onnx_graph import initial_memory, observation_of, write_graph
 
+SMALL_DISTANCE = 0.03
+"""Distance from a label, in the network's unit, below which the loss of a `MedianActor` becomes quadratic."""
+
 
 class Actor(torch.nn.Module):
     """A network from observations to actions in [-1, 1], and their scaling to the environment's actions.
@@ -74,6 +77,24 @@ class Actor(torch.nn.Module):
     def export(self, path: Path) -> None:
         """Write the actor as an ONNX graph with one input for each array of the observation and of the memory."""
         write_graph(self, self.inputs, self.memory, path)
+
+
+class MedianActor(Actor):
+    """An actor whose loss is the distance from labels, not its square: its minimum is their geometric median.
+
+    Where a teacher changes from one way to another, the mean of its labels is no way at all, and the student stands
+    still there. The median is the more frequent way.
+    """
+
+    def loss(self, observations: Any, actions: torch.Tensor) -> torch.Tensor:
+        """Return the mean distance from environment actions (n, ...), in the network's unit.
+
+        Outputs beyond the bound at which a label is have no error: both are the same action.
+        """
+        outputs, labels = self.network(observations), self.scale.inverse(observations, actions)
+        is_same = (labels.abs() >= 1) & (labels * outputs >= 1)
+        squares = (outputs - labels).square().masked_fill(is_same, 0.0).sum(dim=1)
+        return (squares + SMALL_DISTANCE**2).sqrt().mean()
 
 
 def tensors(observations: Any) -> Any:

@@ -3,6 +3,7 @@
 Features are computed from the observation inside the exported graph: an agent sees what any policy sees.
 """
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,6 +24,10 @@ from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
 
+AXES = "end_effector_axes", "target_axes"
+"""Parts of an observation that are two axes of a pose each."""
+DIRECTION = slice(10, 13)
+"""Place of the direction to the target among the features of an arm."""
 TURN_NUMBERS = 9 + 3 + 1 + 3
 NEARBY_TURN = 0.2
 """Distance of axes, nearer than which the direction of the turn fades."""
@@ -62,6 +67,12 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         rest += TURN_NUMBERS if "target_axes" in parts else 0
         super().__init__(observation_space, 13 + 2 * (dof - 1) + rest)
         self.sizes = [*observation_sizes(dof).values(), *parts.values()]
+        sizes = [box_features if name == "boxes" else size for name, size in parts.items()]
+        begins = itertools.accumulate(sizes, initial=DIRECTION.stop + 2 * (dof - 1))
+        slices = {name: slice(begin, begin + size) for name, begin, size in zip(parts, begins, sizes, strict=False)}
+        self.axes = [slices[name] for name in AXES if name in slices]
+        self.num_errors = 3 + (6 if self.axes else 0)
+        """Number of `errors`."""
         if has_boxes:
             self.boxes = torch.nn.Sequential(*hidden_layers((BOX_NUMBERS + 4, box_features, box_features)))
 
@@ -74,12 +85,24 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         for name, part in zip(self.parts, rest, strict=True):
             if name == "boxes":
                 features.append(self._encode_boxes(part, yaw, target))
-            elif name in ("end_effector_axes", "target_axes"):
+            elif name in AXES:
                 axes.append(rotated(part.unflatten(1, (2, 3)), -yaw[:, None]))
                 features.append(axes[-1].flatten(1))
             else:
                 features.append(rotated(part, -yaw) if name == "target_velocity" else part)
         return torch.cat((*features, *([missing_turn(*axes)] if axes else [])), dim=1)
+
+    def errors(self, features: torch.Tensor) -> torch.Tensor:
+        """Return numbers (n, `num_errors`) made of features, all of which vanish at the target and nowhere else.
+
+        They are the direction to the target, which fades, and that from the end-effector's axes to those of a pose.
+        """
+        direction = features[:, DIRECTION]
+        if not self.axes:
+            return direction
+        tip, target = self.axes
+        turn = features[:, target] - features[:, tip]
+        return torch.cat((direction, turn / (_norm(turn) + NEARBY_TURN)), dim=1)
 
     def _encode_boxes(self, numbers: torch.Tensor, base_yaw: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         boxes = numbers.unflatten(1, (-1, BOX_NUMBERS))

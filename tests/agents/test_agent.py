@@ -152,6 +152,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     from armctl.rl.algorithms.distil import DistilOptions
     from armctl.rl.algorithms.distilled_ppo import DistilledPpoOptions
     from armctl.rl.algorithms.finetuned_ppo import FinetunedPpoOptions
+    from armctl.rl.algorithms.imagined_dagger import ImaginedDaggerOptions
     from armctl.rl.algorithms.plan_bc import PlanBcOptions
     from armctl.rl.algorithms.ppo import PpoOptions
     from armctl.rl.algorithms.sac import SacOptions
@@ -165,8 +166,8 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     assert card.training_seed in recipe.seeds
     kinds = {
         "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions,
-        "distilled_ppo": DistilledPpoOptions, "finetuned_ppo": FinetunedPpoOptions, "plan_bc": PlanBcOptions,
-        "ppo": PpoOptions, "sac": SacOptions,
+        "distilled_ppo": DistilledPpoOptions, "finetuned_ppo": FinetunedPpoOptions,
+        "imagined_dagger": ImaginedDaggerOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
     }  # fmt: skip
     kind = kinds[card.learner]
     assert kind(**card.learner_options) == recipe.read_options(kind)  # later options have their defaults

@@ -109,7 +109,14 @@ class ReachPoseTask(ReachTask):
     state_type: ClassVar[type[Any]] = PoseReachState
     units: ClassVar[Mapping[str, str]] = {**ReachTask.units, "end_effector_axes": "", "target_axes": ""}
     instruction = "Move the end-effector to the target's position, in the target's orientation."
-    default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_mpc", "reach_ruckig", "reach_rate", "random")
+    default_policies: ClassVar[tuple[str, ...]] = (
+        "reach_ik",
+        "reach_mpc",
+        "reach_ruckig",
+        "reach_rate",
+        "pose_dagger",
+        "random",
+    )
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         "distance": ReachTask.potentials["distance"],
         "ik": MinimumTimeToPose,
