@@ -134,14 +134,6 @@ def test_the_page_lists_every_example():
         assert f"(../rl/zoo/{algorithm}.yml)" in page, algorithm
 
 
-@pytest.mark.slow
-def test_the_matrix_tries_what_it_says(run, tmp_path):
-    """One learner's row: the fastest."""
-    script, *words = (str(ROOT / "benchmarks" / "learners.py"), "--only", "Gymnasium", "--env", "armctl/ArmReach-v0")
-    row = run(tmp_path / "work", [["script", script, *words]]).split("Gymnasium alone, as CleanRL")[1]
-    assert row.count(" works ") == 4
-
-
 def test_what_is_expected_was_measured():
     """`python benchmarks/examples.py --train` measures it; the heads of the scripts are written by hand."""
     benchmark = runpy.run_path(str(ROOT / "benchmarks" / "examples.py"))
