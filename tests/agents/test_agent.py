@@ -146,12 +146,14 @@ def test_no_file_is_ever_unpickled():
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
 def test_a_shipped_card_is_of_the_present_recipe(path):
+    from armctl.rl.algorithms.act import ActOptions
     from armctl.rl.algorithms.bc import BcOptions
     from armctl.rl.algorithms.cloned_ppo import ClonedPpoOptions
     from armctl.rl.algorithms.dagger import DaggerOptions
     from armctl.rl.algorithms.distil import DistilOptions
     from armctl.rl.algorithms.distilled_ppo import DistilledPpoOptions
     from armctl.rl.algorithms.finetuned_ppo import FinetunedPpoOptions
+    from armctl.rl.algorithms.flow_matching import FlowOptions
     from armctl.rl.algorithms.imagined_dagger import ImaginedDaggerOptions
     from armctl.rl.algorithms.plan_bc import PlanBcOptions
     from armctl.rl.algorithms.ppo import PpoOptions
@@ -166,8 +168,9 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     assert card.training_seed in recipe.seeds
     kinds = {
         "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions,
-        "distilled_ppo": DistilledPpoOptions, "finetuned_ppo": FinetunedPpoOptions,
+        "distilled_ppo": DistilledPpoOptions, "finetuned_ppo": FinetunedPpoOptions, "flow_matching": FlowOptions,
         "imagined_dagger": ImaginedDaggerOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
+        "act": ActOptions,
     }  # fmt: skip
     kind = kinds[card.learner]
     assert kind(**card.learner_options) == recipe.read_options(kind)  # later options have their defaults
