@@ -8,17 +8,17 @@ import numpy as np
 
 from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
-from armctl.core.options import Count, Positive, Share, options
+from armctl.core.options import Count, NonNegative, Positive, Share, options
 from armctl.kinematics import ArmModel, ArmShapes
 from armctl.rl.algorithms.cloning import fit_and_export, new_actor
 from armctl.rl.data import solved_layouts
 from armctl.rl.data.followed_plans import FollowedPlans, Following
+from armctl.rl.data.solved_scenes import SceneSolver
 from armctl.rl.networks.view import Features
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import TrainingOptions
 from armctl.rl.run.training import Training
-from armctl.tasks import ReachObstaclesTask
-from armctl.tasks.reach.obstacles import OBSTACLES_OBSERVATION
+from armctl.tasks import ReachObstaclesTask, ReachScenesTask
 
 LAYOUTS = "layouts"
 """Folder of a training's layouts, in its own."""
@@ -49,9 +49,17 @@ class PlanBcOptions(TrainingOptions):
     largest_move: Positive = 0.3
     """Largest move of a joint in a label, rad: with larger ones, arms go too fast to turn at a corner."""
     noise: Positive = 0.15
-    """Standard deviation of the disturbance of commands, rad."""
+    """Largest standard deviation of the disturbance of commands, rad."""
+    noise_power: NonNegative = 0.0
+    """Power of a uniform random number by which a follower's noise is less; 0: all have the same."""
     noise_share: Share = 0.5
     """Share of control steps in which the command is disturbed."""
+    late_share: Share = 0.0
+    """Share of followers that begin at some waypoint of their way."""
+    max_steps: Count = 75
+    """Control steps after which a follower stops."""
+    straight: bool = False
+    """Moves of labels are such that joints move in proportion, as the motions that were checked do."""
 
 
 @learner(PlanBcOptions, rewards=False, curriculum=False, explores=False)
@@ -61,16 +69,19 @@ def train(training: Training, options: PlanBcOptions) -> AgentCard:
     if recipe.teacher is not None:
         raise ConfigurationError(f"{recipe.learner} learns from plans of its own: it takes no teacher")
     task = training.held_out.task
-    if not isinstance(task, ReachObstaclesTask) or list(task.options.parts) != list(OBSTACLES_OBSERVATION):
-        raise ConfigurationError(f"{recipe.learner} is for armctl/ArmReachObstacles-v0 and its observation 'paper'")
+    if not isinstance(task, ReachObstaclesTask) or list(task.options.parts) != list(task.options.observations["paper"]):
+        raise ConfigurationError(
+            f"{recipe.learner} is for armctl/ArmReachObstacles-v0 and armctl/ArmScenes-v0, with observation 'paper'"
+        )
     if task.options.control != "position" or not options.relative:
         raise ConfigurationError(f"{recipe.learner} needs control 'position' and relative actions")
     with training:
         tolerance, folder, seed = task.options.tolerance, training.out / LAYOUTS, training.seed
-        solved_layouts.make(folder, options.layouts, seed, task.robot, tolerance, training.shows_bars)
+        solved_layouts.make(folder, options.layouts, _solver(task, seed), training.shows_bars)
         how = Following(
             tolerance=tolerance, largest_move=options.largest_move, margin=options.margin, noise=options.noise,
-            noise_share=options.noise_share,
+            noise_share=options.noise_share, noise_power=options.noise_power, late_share=options.late_share,
+            max_steps=options.max_steps, straight=options.straight,
         )  # fmt: skip
         shapes, layouts = ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder)
         examples = FollowedPlans(shapes, layouts, options.parts, how)
@@ -85,3 +96,10 @@ def train(training: Training, options: PlanBcOptions) -> AgentCard:
                 rounds += 1
 
         return fit_and_export(training, new_actor(training, options), examples, options.batch_size, renew)
+
+
+def _solver(task: ReachObstaclesTask, seed: int) -> solved_layouts.LayoutSolver:
+    """Return what draws the layouts of a training seed."""
+    if isinstance(task, ReachScenesTask):
+        return SceneSolver(task.robot, task.options, seed)
+    return solved_layouts.ObstacleLayoutSolver(task.robot, task.options.tolerance, seed)

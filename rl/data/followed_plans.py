@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.kinematics import ArmShapes, ImaginedArms
-from armctl.kinematics.imagined import MOVING
+from armctl.kinematics.imagined import ARRIVED, MOVING
 from armctl.rl.data.solved_layouts import SolvedLayouts
+from armctl.robot_description import JointLimits
 from armctl.tasks.reach import CONTROL_PERIOD
-from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 from armctl.tasks.reach.obstacles import obstacles_observation
 
 WAYPOINTS_APART = 0.3
 """Largest joint motion between waypoints, of which a way's corners are some, rad."""
-MAX_STEPS = 75
-"""Control steps (3 s) after which an arm stops to follow."""
+NEAR_END, NEAR_CORNER = 0.015, 0.05
+"""Distances of joints, rad: from the end of a way at which an arm has arrived in a pose, and from a corner behind which
+it goes to the next one, also if that leads nearer to things than the margin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,15 +31,24 @@ class Following:
     """Options of arms that follow ways."""
 
     tolerance: float
-    """Distance from the target at which an arm has arrived, m."""
+    """Distance from a target position at which an arm has arrived, m."""
     largest_move: float
     """Largest move of a joint in a label, rad."""
     margin: float
     """Distance kept by straight motions, m."""
     noise: float
-    """Standard deviation of what is added to commands, rad."""
+    """Largest standard deviation of what is added to commands, rad."""
     noise_share: float
     """Probability that it is added in a control step."""
+    noise_power: float = 0.0
+    """Power of a uniform random number by which an arm's noise is less: 0 for the same noise, as many arms in tight
+    places need little to arrive."""
+    late_share: float = 0.0
+    """Share of arms that begin at some waypoint of their way, where others rarely get with noise."""
+    max_steps: int = 75
+    """Control steps after which an arm stops to follow."""
+    straight: bool = False
+    """True: labels move joints in proportion (see `straight_moves`). False: the larger moves end later."""
 
 
 def follow(
@@ -50,23 +60,50 @@ def follow(
     """
     ways, lengths = _padded([waypoints(layouts.way(int(row))) for row in rows])
     n = len(rows)
-    arms = ImaginedArms(shapes, n, MAX_OBSTACLES, tolerance=how.tolerance, period=CONTROL_PERIOD)
-    arms.begin(np.arange(n), ways[:, 0], 0.0, layouts.targets[rows], layouts.boxes[rows])
-    next_waypoint = np.ones(n, dtype=np.int64)
+    targets, boxes, every = layouts.targets[rows], layouts.boxes[rows], np.arange(n)
+    has_poses = targets.shape[1] > 3
+    tolerance = 0.0 if has_poses else how.tolerance
+    arms = ImaginedArms(shapes, n, boxes.shape[1], tolerance=tolerance, period=CONTROL_PERIOD)
+    first = (rng.random(n) * (lengths - 1)).astype(int) * (rng.random(n) < how.late_share)
+    arms.begin(every, ways[every, first], 0.0, targets[:, :3], boxes)
+    next_waypoint = first + 1
+    noise = how.noise * rng.random((n, 1)) ** how.noise_power
     states, positions, labels = [], [], []
-    for _ in range(MAX_STEPS):
+    for _ in range(how.max_steps):
         moving = np.flatnonzero(arms.states == MOVING)
         if not len(moving):
             break
         arms.next_waypoints(ways, lengths, how.margin, next_waypoint)
-        moves = ways[np.arange(n), next_waypoint] - arms.positions
-        moves *= np.minimum(1.0, how.largest_move / np.maximum(abs(moves).max(axis=1, keepdims=True), 1e-9))
+        if has_poses:
+            at_corner = abs(ways[every, next_waypoint] - arms.positions).max(axis=1) < NEAR_CORNER
+            next_waypoint = np.minimum(next_waypoint + at_corner, lengths - 1)
+        moves = ways[every, next_waypoint] - arms.positions
+        largest = np.maximum(abs(moves).max(axis=1, keepdims=True), 1e-9)
+        if how.straight:
+            moves = straight_moves(moves / largest, np.minimum(largest, how.largest_move), shapes.model.limits)
+        else:
+            moves *= np.minimum(1.0, how.largest_move / largest)
         states.append(rows[moving])
         positions.append(arms.positions[moving].astype(np.float32))
         labels.append((arms.positions + moves)[moving].astype(np.float32))
         is_disturbed = rng.random((n, 1)) < how.noise_share
-        arms.move(arms.positions + moves + is_disturbed * rng.normal(scale=how.noise, size=moves.shape))
+        arms.move(arms.positions + moves + is_disturbed * rng.normal(scale=noise, size=moves.shape))
+        if has_poses:
+            at_end = abs(ways[every, lengths - 1] - arms.positions).max(axis=1) < NEAR_END
+            arms.states[at_end & (arms.states == MOVING)] = ARRIVED
     return np.concatenate(states), np.concatenate(positions), np.concatenate(labels)
+
+
+def straight_moves(directions: Array, largest: Array, limits: JointLimits) -> Array:
+    """Return moves (n, dof), rad, with which drives go in `directions` (n, dof), whose largest component is 1.
+
+    Drives accelerate all they can: one that is sent ahead by a move m again and again goes at a speed v, from which it
+    could stop there, v^2 / (2 a) + v T / 2 = m. Speeds are in proportion here, not moves; the largest is `largest`.
+    """
+    a, period = limits.acceleration, CONTROL_PERIOD
+    top = np.sqrt((a.min() * period / 2) ** 2 + 2 * a.min() * largest) - a.min() * period / 2
+    speeds = top * directions
+    return np.asarray(speeds * abs(speeds) / (2 * a) + speeds * period / 2)
 
 
 def waypoints(way: Array) -> Array:

@@ -1,8 +1,9 @@
 """Layouts among obstacles with a planned way each, made by kinematics alone: `python -m armctl.rl.data.solved_layouts`.
 
-Layouts are drawn as `armctl/ArmReachObstacles-v0` draws them for episodes of a training's seed; those without a plan
-are left out. They lie in a folder, in parts that are written whole, with a card that has the checksum of each part: the
-same command goes on after an interrupt. Nothing is simulated.
+A `LayoutSolver` draws and plans them; those without a plan are left out. `ObstacleLayoutSolver` draws them as
+`armctl/ArmReachObstacles-v0` does for episodes of a training's seed. They lie in a folder, in parts that are written
+whole, with a card that has the checksum of each part: the same command goes on after an interrupt. Nothing is
+simulated.
 """
 
 import functools
@@ -10,7 +11,7 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 import typer
@@ -34,10 +35,9 @@ from armctl.kinematics import ArmModel, Workspace
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.runtime.folder import claim
-from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import ReachOptions
 from armctl.tasks.reach.layout_pool import robot_digest
-from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES, ReachLayout, sample_layout
+from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES, sample_layout
 
 FORMAT = "armctl-solved-layouts-1"
 PART = 500
@@ -54,17 +54,17 @@ class SolvedLayouts:
     """k layouts and their ways. Raises `ConfigurationError` for arrays that do not fit together."""
 
     targets: NDArray[np.float32]
-    """Target positions (k, 3), m."""
+    """Target positions (k, 3), m, or poses (k, 9): with their first two axes."""
     boxes: NDArray[np.float32]
-    """Boxes (k, `MAX_OBSTACLES`, `BOX_NUMBERS`); zeros for absent ones."""
+    """Boxes (k, most, numbers), as the task observes them; zeros for absent ones."""
     corners: NDArray[np.int64]
-    """Number (k,) of corners of each way, from home to the target; at least 2."""
+    """Number (k,) of corners of each way, from the start to the target; at least 2."""
     ways: NDArray[np.float32]
     """Corners (sum of `corners`, dof) rad, one way after the other."""
 
     def __post_init__(self) -> None:
-        k = len(self.targets)
-        shapes = {"targets": (k, 3), "boxes": (k, MAX_OBSTACLES, BOX_NUMBERS), "corners": (k,)}
+        k, numbers = len(self.targets), self.targets.shape[1] if self.targets.ndim > 1 else 0
+        shapes = {"targets": (k, 9 if numbers == 9 else 3), "boxes": (k, *self.boxes.shape[1:][:2]), "corners": (k,)}
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape or not np.isfinite(getattr(self, name)).all():
                 raise ConfigurationError(f"{name} should be finite numbers {shape}, not {getattr(self, name).shape}")
@@ -86,26 +86,46 @@ class SolvedLayouts:
         return np.cumsum(self.corners)
 
 
-def make(folder: Path, count: int, seed: int, arm: ArmDescription, tolerance: float, progress: bool = True) -> None:
-    """Draw `count` layouts of a training seed, and plan in each, or go on with that.
+class SolvedLayout(NamedTuple):
+    """A layout and its way."""
+
+    target: NDArray[np.float64]
+    """(3,) m, or (9,) with axes."""
+    boxes: NDArray[np.float64]
+    """(k, numbers)"""
+    way: NDArray[np.float64]
+    """(m, dof) rad"""
+
+
+class LayoutSolver(Protocol):
+    """Draws layouts and plans in them."""
+
+    max_boxes: int
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the layouts depend on, as JSON values."""
+
+    def solve(self, number: int) -> SolvedLayout | None:
+        """Return the layout of a number with its way; None if none was found, or none is needed."""
+
+
+def make(folder: Path, count: int, solver: LayoutSolver, progress: bool = True) -> None:
+    """Let `solver` draw `count` layouts and plan in each, or go on with that.
 
     Raises `ResultsError` if the folder holds others, is damaged or cannot be written.
     """
-    identity: dict[str, Any] = {
-        "format": FORMAT, "robot": robot_digest(arm), "tolerance": tolerance, "seed": seed, "count": count,
-        "clearances": list(CLEARANCES), "part": PART,
-    }  # fmt: skip
+    identity: dict[str, Any] = {"format": FORMAT, **solver.identity, "count": count, "part": PART}
     with one_writer(folder):
         card = claim(folder / CARD, identity, "other layouts", "choose another folder", format_number=FORMAT)
         card = card or {**identity, "parts": {}}
-        solver = _Solver(arm, tolerance, seed)
         with Progress(console=PlainConsole(stderr=True), disable=not progress) as bars:
             bar = bars.add_task("layouts", total=count)
             for start in range(0, count, PART):
                 numbers = range(start, min(start + PART, count))
                 name = f"part_{start}.npz"
                 if name not in card["parts"]:
-                    content = _packed(map(solver.solve, numbers))
+                    content = _packed(map(solver.solve, numbers), solver.max_boxes)
                     with os_errors_as(f"layouts cannot be written to {folder}"):
                         write_atomically(folder / name, content)
                         card["parts"][name] = short_checksum(content)
@@ -126,38 +146,47 @@ def read(folder: Path) -> SolvedLayouts:
         raise ResultsError(f"the layouts in {folder} do not fit together: {error}") from error
 
 
-class _Solver:
+class ObstacleLayoutSolver:
+    """Layouts of a training seed of `armctl/ArmReachObstacles-v0`, with ways into spheres of `tolerance` (m)."""
+
+    max_boxes = MAX_OBSTACLES
+
     def __init__(self, arm: ArmDescription, tolerance: float, seed: int) -> None:
+        self.identity: dict[str, Any] = {
+            "robot": robot_digest(arm), "tolerance": tolerance, "seed": seed, "clearances": list(CLEARANCES),
+        }  # fmt: skip
         self._model = ArmModel(arm)
         self._workspace = Workspace(self._model)
         self._planners = [ArmPlanner(self._model, ArmPlannerOptions(clearance=clearance)) for clearance in CLEARANCES]
         self._tolerance, self._seed = tolerance, (seed + 1) * TRAINING_SEEDS
 
-    def solve(self, number: int) -> tuple[ReachLayout, NDArray[np.float64]] | None:
+    def solve(self, number: int) -> SolvedLayout | None:
         """Return a layout and its way; None if none was found, or none is needed."""
         rng = np.random.default_rng(np.random.SeedSequence(episode_entropy(self._seed, number)))
         layout = sample_layout(rng, self._workspace, self._tolerance)
         for planner in self._planners:
             plan = planner.plan(self._model.home, layout.target, self._tolerance, layout.boxes)
             if plan.solved:
-                return (layout, plan.path) if len(plan.path) > 1 else None
+                return SolvedLayout(layout.target, layout.boxes.numbers, plan.path) if len(plan.path) > 1 else None
         return None
 
 
-def _packed(solved: Iterator[tuple[ReachLayout, NDArray[np.float64]] | None]) -> bytes:
-    """Return the bytes of a part."""
-    pairs = [pair for pair in solved if pair is not None]
-    boxes = np.zeros((len(pairs), MAX_OBSTACLES, BOX_NUMBERS), np.float32)
-    for row, (layout, _) in zip(boxes, pairs, strict=True):
-        row[: len(layout.boxes)] = layout.boxes.numbers
+def _packed(solved: Iterator[SolvedLayout | None], max_boxes: int) -> bytes:
+    """Return the bytes of a part. Raises `ConfigurationError` if no layout of it is solved."""
+    layouts = [layout for layout in solved if layout is not None]
+    if not layouts:
+        raise ConfigurationError("no way was found in any layout of a part")
+    boxes = np.zeros((len(layouts), max_boxes, layouts[0].boxes.shape[1]), np.float32)
+    for row, layout in zip(boxes, layouts, strict=True):
+        row[: len(layout.boxes)] = layout.boxes
     content = io.BytesIO()
     np.savez_compressed(
         content,
         allow_pickle=False,
-        targets=np.array([layout.target for layout, _ in pairs], np.float32).reshape(-1, 3),
+        targets=np.array([layout.target for layout in layouts], np.float32),
         boxes=boxes,
-        corners=np.array([len(way) for _, way in pairs], np.int64),
-        ways=np.concatenate([way for _, way in pairs], dtype=np.float32),
+        corners=np.array([len(layout.way) for layout in layouts], np.int64),
+        ways=np.concatenate([layout.way for layout in layouts], dtype=np.float32),
     )
     return content.getvalue()
 
@@ -188,7 +217,7 @@ def main(
     robot: str = "ur5",
 ) -> None:
     """Draw layouts of a training seed, plan a way in each by kinematics, and keep both in a folder."""
-    make(folder, count, seed, load_arm(robot), ReachOptions().tolerance)
+    make(folder, count, ObstacleLayoutSolver(load_arm(robot), ReachOptions().tolerance, seed))
     print(f"{folder}: {len(read(folder)):,} of {count:,} layouts have a way")
 
 

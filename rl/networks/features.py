@@ -16,7 +16,14 @@ from armctl.core.errors import unknown_name
 from armctl.core.registration import import_attribute
 from armctl.rl.networks.bridge_ranges import ColumnRanges, FloorRanges, HeldNearnessFeatures, NearnessFeatures
 from armctl.rl.networks.bridge_scans import Surroundings
-from armctl.rl.networks.layers import hidden_layers, in_first_joint_frame, rotated
+from armctl.rl.networks.layers import (
+    NEARBY_TURN,
+    TURN_NUMBERS,
+    hidden_layers,
+    in_first_joint_frame,
+    missing_turn,
+    rotated,
+)
 from armctl.rl.networks.lift_features import LiftFeatures
 from armctl.rl.networks.link_box_features import LinkBoxFeatures
 from armctl.rl.networks.push_features import PushFeatures
@@ -28,10 +35,6 @@ AXES = "end_effector_axes", "target_axes"
 """Parts of an observation that are two axes of a pose each."""
 DIRECTION = slice(10, 13)
 """Place of the direction to the target among the features of an arm."""
-TURN_NUMBERS = 9 + 3 + 1 + 3
-NEARBY_TURN = 0.2
-"""Distance of axes, nearer than which the direction of the turn fades."""
-
 
 class ReachFeatures(BaseFeaturesExtractor):
     """Positions, the offset to the target, each joint's sine and cosine, and the rest of the observation."""
@@ -112,25 +115,6 @@ class BaseYawInvariantFeatures(BaseFeaturesExtractor):
         parts = (centre, centre - target[:, None], half_sizes, yaw.sin(), yaw.cos())
         present = (half_sizes > 0).all(dim=-1, keepdim=True)
         return (self.boxes(LENGTH_SCALE * torch.cat(parts, dim=-1)) * present).amax(dim=1)
-
-
-def missing_turn(tip_axes: torch.Tensor, target_axes: torch.Tensor) -> torch.Tensor:
-    """Return features (n, `TURN_NUMBERS`) of the turn from one orientation to another, of whose axes (n, 2, 3) are two.
-
-    They are the relative rotation, the sum of its axes' cross products, which is 2 sin(angle) about the axis to turn
-    about, the distance of the axes, which is sqrt(8) sin(angle / 2), and the former as a direction that fades near 0.
-    """
-    frames = [torch.cat((axes, _cross(axes[:, :1], axes[:, 1:])), dim=1) for axes in (tip_axes, target_axes)]
-    tip, target = frames
-    turn, twist = (tip @ target.transpose(1, 2)).flatten(1), _cross(tip, target).sum(dim=1)
-    distance = _norm((target - tip).flatten(1))
-    return torch.cat((turn, twist, distance, twist / (distance + NEARBY_TURN)), dim=1)
-
-
-def _cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    x, y, z = a.unbind(dim=-1)
-    u, v, w = b.unbind(dim=-1)
-    return torch.stack((y * w - z * v, z * u - x * w, x * v - y * u), dim=-1)
 
 
 def _norm(vectors: torch.Tensor) -> torch.Tensor:

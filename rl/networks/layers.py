@@ -9,6 +9,10 @@ from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
 
 OBJECT_SPEED_SCALE = 4.0, 4.0, 0.5
 """s/m, s/m and s/rad: scale velocities of an object on a table to the order of one."""
+TURN_NUMBERS = 9 + 3 + 1 + 3
+"""Count of features of a turn."""
+NEARBY_TURN = 0.2
+"""Distance of axes, nearer than which the direction of the turn fades."""
 
 
 def hidden_layers(sizes: Sequence[int]) -> list[torch.nn.Module]:
@@ -66,6 +70,29 @@ def in_first_joint_frame(
     distance = length(offset)
     lengths = LENGTH_SCALE * torch.cat((tip, target, offset, distance), dim=1)
     return [lengths, offset / (distance + NEARBY), joints[:, 1:].sin(), joints[:, 1:].cos()], target
+
+
+def missing_turn(tip_axes: torch.Tensor, target_axes: torch.Tensor) -> torch.Tensor:
+    """Return features (n, `TURN_NUMBERS`) of the turn from one orientation to another, of whose axes (n, 2, 3) are two.
+
+    They are the relative rotation, the sum of its axes' cross products, which is 2 sin(angle) about the axis to turn
+    about, the distance of the axes, which is sqrt(8) sin(angle / 2), and the former as a direction that fades near 0.
+    """
+    tip, target = frame_of(tip_axes), frame_of(target_axes)
+    turn, twist = (tip @ target.transpose(1, 2)).flatten(1), _cross(tip, target).sum(dim=1)
+    distance = (target - tip).flatten(1).norm(dim=1, keepdim=True)
+    return torch.cat((turn, twist, distance, twist / (distance + NEARBY_TURN)), dim=1)
+
+
+def frame_of(axes: torch.Tensor) -> torch.Tensor:
+    """Return all three axes (n, 3, 3), one per row, of the first two (n, 2, 3)."""
+    return torch.cat((axes, _cross(axes[:, :1], axes[:, 1:])), dim=1)
+
+
+def _cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    x, y, z = a.unbind(dim=-1)
+    u, v, w = b.unbind(dim=-1)
+    return torch.stack((y * w - z * v, z * u - x * w, x * v - y * u), dim=-1)
 
 
 def joint_frames(

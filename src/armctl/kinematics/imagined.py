@@ -15,7 +15,7 @@ from armctl.kernels.capsules import BOX
 from armctl.kernels.imagined_arm import ARRIVED, MOVING, TOUCHED
 from armctl.kinematics.edge_checker import ArmShapes
 from armctl.robot_description.joint_profiles import TICK
-from armctl.scene.boxes import BOX_NUMBERS, rotations_about_vertical
+from armctl.scene.boxes import BOX_NUMBERS, box_rotations
 
 MAX_CHECKS = 64
 """Configurations on a straight motion after which it counts as blocked."""
@@ -63,14 +63,14 @@ class ImaginedArms:
     def begin(self, ids: ArrayLike, positions: Array, velocities: ArrayLike, targets: Array, boxes: Array) -> None:
         """Begin new episodes of arms `ids` (k,), at `positions` with `velocities`, (k, dof) each.
 
-        `targets` are (k, 3) m, and `boxes` (k, most, `BOX_NUMBERS`), absent ones last.
+        `targets` are (k, 3) m, and `boxes` (k, `max_boxes`, `BOX_NUMBERS` or `TILTED_BOX_NUMBERS`), absent ones last.
         """
         rows = np.asarray(ids, dtype=int)
-        numbers = np.asarray(boxes, dtype=float).reshape(len(rows), self.max_boxes, BOX_NUMBERS)
+        numbers = np.asarray(boxes, dtype=float).reshape(len(rows), self.max_boxes, np.shape(boxes)[-1] or BOX_NUMBERS)
         self.positions[rows], self.velocities[rows], self.targets[rows] = positions, velocities, targets
         self._arms.counts[rows] = (numbers[..., 3:6] > 0).all(axis=-1).sum(axis=-1)
         records = np.zeros(numbers.shape[:2], BOX)
-        records["rotation"] = rotations_about_vertical(numbers[..., 6])
+        records["rotation"] = box_rotations(*np.moveaxis(numbers[..., 6:], -1, 0))
         records["centre"], records["half_size"] = numbers[..., :3], numbers[..., 3:6]
         self._arms.boxes[rows], self.states[rows] = records, MOVING
         imagined_arm.begin(self._arms, rows, self.margin)

@@ -48,12 +48,7 @@ class Boxes:
     @property
     def rotations(self) -> Array:
         """Rotation matrices from each box's own frame to the world's, (k, 3, 3)."""
-        upright = rotations_about_vertical(self.yaws)
-        if self.tilts is None:
-            return upright
-        sine, cosine, zero, unit = np.sin(self.tilts), np.cos(self.tilts), 0 * self.tilts, 1 + 0 * self.tilts
-        tilted = np.array([[cosine, zero, sine], [zero, unit, zero], [-sine, zero, cosine]])
-        return np.asarray(upright @ tilted.transpose(2, 0, 1))
+        return box_rotations(self.yaws, self.tilts)
 
     def distances(self, points: ArrayLike) -> Array:
         """Return signed distances of points (..., 3) from the boxes' surfaces, (..., k) m: negative inside."""
@@ -61,6 +56,16 @@ class Boxes:
         beyond = np.abs(local) - self.half_sizes
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0))
+
+
+def box_rotations(yaws: Array, tilts: Array | None = None) -> Array:
+    """Return rotation matrices (..., 3, 3) from boxes' own frames, by yaws and tilts (...), rad; None: all upright."""
+    upright = rotations_about_vertical(yaws)
+    if tilts is None:
+        return upright
+    sine, cosine, zero, unit = np.sin(tilts), np.cos(tilts), 0 * tilts, 1 + 0 * tilts
+    tilted = np.array([[cosine, zero, sine], [zero, unit, zero], [-sine, zero, cosine]])
+    return np.asarray(upright @ np.moveaxis(tilted, (0, 1), (-2, -1)))
 
 
 def rotations_about_vertical(angles: Array) -> Array:

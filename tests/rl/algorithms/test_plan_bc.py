@@ -12,7 +12,7 @@ from armctl.policies import make_policy
 from armctl.rl.algorithms import plan_bc
 from armctl.rl.data import solved_layouts
 from armctl.rl.data.followed_plans import WAYPOINTS_APART, FollowedPlans, Following, follow, waypoints
-from armctl.rl.data.solved_layouts import make, read
+from armctl.rl.data.solved_layouts import ObstacleLayoutSolver, make, read
 from armctl.rl.run.training import Training
 from armctl.robot_description import load_arm
 from armctl.tasks.reach.obstacles import obstacles_observation
@@ -34,7 +34,7 @@ def shapes():
 @pytest.fixture(scope="module")
 def layouts(tmp_path_factory):
     folder = tmp_path_factory.mktemp("layouts")
-    make(folder, 24, 3, load_arm("ur5"), 0.05, progress=False)
+    make(folder, 24, ObstacleLayoutSolver(load_arm("ur5"), 0.05, 3), progress=False)
     return read(folder)
 
 

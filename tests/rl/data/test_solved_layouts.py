@@ -8,7 +8,7 @@ from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.core.files import sealed, unsealed
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker
 from armctl.rl.data import solved_layouts
-from armctl.rl.data.solved_layouts import CARD, CLEARANCES, SolvedLayouts, make, read
+from armctl.rl.data.solved_layouts import CARD, CLEARANCES, ObstacleLayoutSolver, SolvedLayouts, make, read
 from armctl.tasks.reach import read_boxes
 
 TOLERANCE = 0.05
@@ -25,7 +25,7 @@ def model():
 
 
 def made(folder, model, count=10, seed=0):
-    make(folder, count, seed, model.description, TOLERANCE, progress=False)
+    make(folder, count, ObstacleLayoutSolver(model.description, TOLERANCE, seed), progress=False)
     return folder
 
 
@@ -48,7 +48,7 @@ def test_seeds_draw_other_layouts_and_a_seed_the_same(tmp_path, model):
 
 def test_after_an_interrupt_the_rest_is_made(tmp_path, model, monkeypatch):
     whole = made(tmp_path / "whole", model)
-    solve, asked = solved_layouts._Solver.solve, []
+    solve, asked = ObstacleLayoutSolver.solve, []
 
     def interrupted(self, number):
         asked.append(number)
@@ -56,7 +56,7 @@ def test_after_an_interrupt_the_rest_is_made(tmp_path, model, monkeypatch):
             raise KeyboardInterrupt
         return solve(self, number)
 
-    monkeypatch.setattr(solved_layouts._Solver, "solve", interrupted)
+    monkeypatch.setattr(ObstacleLayoutSolver, "solve", interrupted)
     with pytest.raises(KeyboardInterrupt):
         made(tmp_path / "cut", model)
     with pytest.raises(ResultsError, match="lacks part_5"):

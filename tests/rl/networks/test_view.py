@@ -7,7 +7,7 @@ import torch
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.rl.networks.actor import Actor, tensors
-from armctl.rl.networks.features import missing_turn
+from armctl.rl.networks.layers import missing_turn
 from armctl.rl.networks.view import view_of
 from armctl.robots.arm import LARGEST_RELATIVE_MOVE
 from armctl.tasks import OBSERVATION, BridgeTask, ReachMovingTask, ReachObstaclesTask, ReachPoseTask, ReachTask

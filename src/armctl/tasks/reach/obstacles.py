@@ -37,6 +37,7 @@ from armctl.tasks.reach.observation import (
 )
 from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES, sample_certified_layout
 from armctl.tasks.reach.options import ReachOptions, Terms
+from armctl.tasks.reach.pose import first_axes
 from armctl.tasks.reach.potentials import PathCostToGo
 from armctl.tasks.reach.reach import CONTROL_PERIOD, ReachOutcome, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, STEP_REWARD, ReachState, Term
@@ -80,10 +81,14 @@ def obstacles_observation(
 ) -> NDArray[np.float32]:
     """Return the observations `paper` (n, k) of arms at joint `positions` (n, dof), rad, without a simulation.
 
-    `targets` are (n, 3) m, and `boxes` (n, ...).
+    `targets` are (n, 3) m, or (n, 9) with the first two axes of poses, and `boxes` (n, ...).
     """
-    tips = model.positions(positions)
-    return np.concatenate((tips, positions, targets, boxes.reshape(len(boxes), -1)), axis=1, dtype=np.float32)
+    places, axes = np.split(targets, [3], axis=1)
+    parts = [model.positions(positions), positions, places]
+    if axes.shape[1]:
+        rotations = [model.pose(q)[:3, :3].ravel() for q in positions.astype(float)]
+        parts += [first_axes(np.array(rotations).reshape(-1, 9)), axes]
+    return np.concatenate((*parts, boxes.reshape(len(boxes), -1)), axis=1, dtype=np.float32)
 
 
 COLLISION_REWARD = 200 * STEP_REWARD
@@ -152,9 +157,13 @@ class ReachObstaclesTask(ReachTask):
     def learner_view(self) -> LearnerView:
         """Also features that know the arm's geometry, for the observation `paper`."""
         view, model = super().learner_view, self._workspace.model
-        if list(self.options.parts) != list(OBSTACLES_OBSERVATION) or not model.base_yaw_is_vertical:
+        options = self.options
+        if list(options.parts) != list(options.observations["paper"]) or not model.base_yaw_is_vertical:
             return view
-        return replace(view, model_features=FeatureSpec("links_among_boxes", {"geometry": model.geometry()}))
+        features: dict[str, Any] = {"geometry": model.geometry()}
+        if options.box_numbers > BOX_NUMBERS:
+            features |= {"box_numbers": options.box_numbers, "poses": True}
+        return replace(view, model_features=FeatureSpec("links_among_boxes", features))
 
     def boxes(self, world: int) -> Boxes:
         """Return the obstacles of a world."""

@@ -1,0 +1,94 @@
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimePose
+from armctl.rl.data import solved_layouts, solved_scenes
+from armctl.rl.data.followed_plans import FollowedPlans, Following, follow
+from armctl.rl.data.solved_scenes import CLEARANCES, INSIDE, LARGEST_TURN, SceneSolver
+from armctl.tasks.reach import ReachScenesOptions, read_boxes
+from armctl.tasks.reach.motion_bench_maker import LAST_OF_TRAINING, ROBOT, shipped_problems
+
+OPTIONS = ReachScenesOptions(scenes="box,table_under_pick")
+HOW = Following(
+    tolerance=0.02, largest_move=0.15, margin=0.01, noise=0.1, noise_share=0.0, late_share=0.0, max_steps=120
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ArmModel(ROBOT)
+
+
+@pytest.fixture(scope="module")
+def solver(model):
+    return SceneSolver(model.description, OPTIONS, 3)
+
+
+@pytest.fixture(scope="module")
+def layouts(solver, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scenes")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solved_layouts, "PART", 5)
+        solved_layouts.make(folder, 10, solver, progress=False)
+    return solved_layouts.read(folder)
+
+
+def test_only_training_problems_are_drawn(solver):
+    problems = shipped_problems()
+    assert (problems.numbers[solver._rows] <= LAST_OF_TRAINING).all()
+    assert problems.feasible[solver._rows].all()
+
+
+def test_a_scene_is_a_problem_turned_and_shifted_as_a_whole(solver, model, monkeypatch):
+    problems = shipped_problems()
+    monkeypatch.setattr(solver, "_rows", solver._rows[5:6])
+    row = solver._rows[0]
+    start, target, boxes = solver._draw(np.random.default_rng(0))
+    known, pose = problems.boxes[row, : problems.counts[row]], model.pose(problems.goals[row].astype(float))
+    turn = boxes[0, 6] - known[0, 6]
+    assert 0 < abs(turn) <= LARGEST_TURN
+    np.testing.assert_allclose(boxes[:, 3:6], known[:, 3:6], atol=1e-6)
+    places = np.vstack((known[:, :3], pose[:3, 3]))
+    moved = np.vstack((boxes[:, :3], target[:3]))
+    apart = [np.linalg.norm(of[:, None] - of[None], axis=-1) for of in (places, moved)]
+    np.testing.assert_allclose(*apart, atol=1e-5)
+    np.testing.assert_allclose([target[5], target[8]], pose[2, :2], atol=1e-9)  # turned about the vertical
+    assert np.isclose(start[0] - problems.starts[row, 0], 0, atol=1e-6) or np.isclose(
+        start[0] - problems.starts[row, 0], turn, atol=1e-5
+    )
+
+
+def test_ways_are_free_and_lead_into_the_pose(layouts, model):
+    search = MinimumTimePose(model, OPTIONS.lever)
+    assert len(layouts) >= 7
+    for row in range(len(layouts)):
+        way, boxes, target = layouts.way(row), read_boxes(layouts.boxes[row], 8), layouts.targets[row].astype(float)
+        miss = search.place(way[-1]) - search.centre(target[:3], target[3:])
+        assert np.linalg.norm(miss) <= INSIDE * OPTIONS.tolerance + 1e-5
+        checker = EdgeChecker(ArmShapes(model), boxes, 0.9 * CLEARANCES[-1], way[0])
+        assert all(checker.is_edge_free(a, b) for a, b in itertools.pairwise(way))
+
+
+@pytest.mark.slow
+def test_followers_arrive_in_poses_and_some_begin_late(layouts, model):
+    shapes, rows = ArmShapes(model), np.arange(len(layouts))
+    states, positions, labels = follow(shapes, layouts, rows, np.random.default_rng(0), HOW)
+    last = {int(row): label for row, label in zip(states, labels, strict=True)}
+    ends = np.array([layouts.way(row)[-1] for row in rows])
+    assert (abs(np.array([last[row] for row in rows]) - ends).max(axis=1) < 0.05).mean() > 0.8
+    assert abs(labels - positions).max() <= HOW.largest_move + 1e-6
+    late = follow(shapes, layouts, rows, np.random.default_rng(0), replace(HOW, late_share=1.0))[0]
+    assert len(late) < len(states)
+    examples = FollowedPlans(shapes, layouts, 1, HOW)
+    examples.renew(0, np.random.default_rng(0))
+    observations, actions = examples.draw(np.random.default_rng(0), 7)
+    assert observations.shape == (7, 192)
+    assert actions.shape == (7, 6)
+
+
+def test_what_scenes_depend_on_is_known(solver):
+    assert solver.identity["scenes"] == OPTIONS.scenes
+    assert solver.identity["plans"] == solved_scenes.PLANS
