@@ -60,6 +60,8 @@ class PlanBcOptions(TrainingOptions):
     """Control steps after which a follower stops."""
     straight: bool = False
     """Moves of labels are such that joints move in proportion, as the motions that were checked do."""
+    student_share: Share = 0.0
+    """Share of followers that the network moves, once all layouts have been followed: DAgger without simulation."""
 
 
 @learner(PlanBcOptions, rewards=False, curriculum=False, explores=False)
@@ -81,21 +83,22 @@ def train(training: Training, options: PlanBcOptions) -> AgentCard:
         how = Following(
             tolerance=tolerance, largest_move=options.largest_move, margin=options.margin, noise=options.noise,
             noise_share=options.noise_share, noise_power=options.noise_power, late_share=options.late_share,
-            max_steps=options.max_steps, straight=options.straight,
+            max_steps=options.max_steps, straight=options.straight, student_share=options.student_share,
         )  # fmt: skip
         shapes, layouts = ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder)
         examples = FollowedPlans(shapes, layouts, options.parts, how)
-        rounds, every = 0, max(1, options.steps // (options.renewals + 1))
+        actor, rounds, every = new_actor(training, options), 0, max(1, options.steps // (options.renewals + 1))
 
         def renew(step: int) -> None:
             nonlocal rounds
             is_repeated = step > 0 and rounds == 0  # labelled before an interrupt
             while rounds < options.parts + min(step, options.steps - 1) // every:
-                labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)))
+                student = actor if options.student_share and rounds >= options.parts else None
+                labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)), student)
                 training.meter.add(teacher_queries=0 if is_repeated else labelled)
                 rounds += 1
 
-        return fit_and_export(training, new_actor(training, options), examples, options.batch_size, renew)
+        return fit_and_export(training, actor, examples, options.batch_size, renew)
 
 
 def _solver(task: ReachObstaclesTask, seed: int) -> solved_layouts.LayoutSolver:

@@ -5,6 +5,7 @@ depends on where the arm is, and leads back to the way. Nothing is simulated (`a
 """
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +16,13 @@ from armctl.core.arrays import Array
 from armctl.kinematics import ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import ARRIVED, MOVING
 from armctl.rl.data.solved_layouts import SolvedLayouts
+from armctl.rl.networks.actor import Actor
 from armctl.robot_description import JointLimits
 from armctl.tasks.reach import CONTROL_PERIOD
 from armctl.tasks.reach.obstacles import obstacles_observation
 
+Acting = Callable[[NDArray[np.intp], Array], NDArray[Any]]
+"""Commands (k, dof), rad, of a student in layouts `rows` (k,), at joint positions (k, dof)."""
 WAYPOINTS_APART = 0.3
 """Largest joint motion between waypoints, of which a way's corners are some, rad."""
 NEAR_END, NEAR_CORNER = 0.015, 0.05
@@ -48,15 +52,23 @@ class Following:
     max_steps: int = 75
     """Control steps after which an arm stops to follow."""
     straight: bool = False
-    """True: labels move joints in proportion (see `straight_moves`). False: the larger moves end later."""
+    """True: labels move joints in proportion (see `limited_moves`). False: the larger moves end later."""
+    student_share: float = 0.0
+    """Share of arms that a student moves, if there is one: labels are for the states that it visits."""
 
 
 def follow(
-    shapes: ArmShapes, layouts: SolvedLayouts, rows: NDArray[np.intp], rng: np.random.Generator, how: Following
+    shapes: ArmShapes,
+    layouts: SolvedLayouts,
+    rows: NDArray[np.intp],
+    rng: np.random.Generator,
+    how: Following,
+    acting: Acting | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
     """Follow the ways of some `rows` of layouts: the row of every state, its joint positions and its label, (k, dof).
 
-    Labels are absolute joint positions (rad). Arms that touch something, or have arrived, are done.
+    Labels are absolute joint positions (rad). Arms that touch something, or have arrived, are done. `acting` moves a
+    share of the arms.
     """
     ways, lengths = _padded([waypoints(layouts.way(int(row))) for row in rows])
     n = len(rows)
@@ -68,6 +80,7 @@ def follow(
     arms.begin(every, ways[every, first], 0.0, targets[:, :3], boxes)
     next_waypoint = first + 1
     noise = how.noise * rng.random((n, 1)) ** how.noise_power
+    is_student = rng.random(n) < how.student_share
     states, positions, labels = [], [], []
     for _ in range(how.max_steps):
         moving = np.flatnonzero(arms.states == MOVING)
@@ -78,32 +91,36 @@ def follow(
             at_corner = abs(ways[every, next_waypoint] - arms.positions).max(axis=1) < NEAR_CORNER
             next_waypoint = np.minimum(next_waypoint + at_corner, lengths - 1)
         moves = ways[every, next_waypoint] - arms.positions
-        largest = np.maximum(abs(moves).max(axis=1, keepdims=True), 1e-9)
-        if how.straight:
-            moves = straight_moves(moves / largest, np.minimum(largest, how.largest_move), shapes.model.limits)
-        else:
-            moves *= np.minimum(1.0, how.largest_move / largest)
+        moves = limited_moves(moves, how.largest_move, shapes.model.limits if how.straight else None)
         states.append(rows[moving])
         positions.append(arms.positions[moving].astype(np.float32))
         labels.append((arms.positions + moves)[moving].astype(np.float32))
+        commands = arms.positions + moves
+        if acting is not None and len(students := moving[is_student[moving]]):
+            commands[students] = acting(rows[students], arms.positions[students])
         is_disturbed = rng.random((n, 1)) < how.noise_share
-        arms.move(arms.positions + moves + is_disturbed * rng.normal(scale=noise, size=moves.shape))
+        arms.move(commands + is_disturbed * rng.normal(scale=noise, size=moves.shape))
         if has_poses:
             at_end = abs(ways[every, lengths - 1] - arms.positions).max(axis=1) < NEAR_END
             arms.states[at_end & (arms.states == MOVING)] = ARRIVED
     return np.concatenate(states), np.concatenate(positions), np.concatenate(labels)
 
 
-def straight_moves(directions: Array, largest: Array, limits: JointLimits) -> Array:
-    """Return moves (n, dof), rad, with which drives go in `directions` (n, dof), whose largest component is 1.
+def limited_moves(moves: Array, largest_move: float, straight: JointLimits | None) -> Array:
+    """Return moves (n, dof) of joints, rad, made less, so that none is larger than `largest_move`.
 
-    Drives accelerate all they can: one that is sent ahead by a move m again and again goes at a speed v, from which it
-    could stop there, v^2 / (2 a) + v T / 2 = m. Speeds are in proportion here, not moves; the largest is `largest`.
+    With the limits of the drives, joints will move in proportion. A drive accelerates all it can: sent ahead by m in
+    each control step, it goes at a speed v from which it could stop there, v^2 / (2 a) + v T / 2 = m. These speeds are
+    in proportion then, instead of the moves.
     """
-    a, period = limits.acceleration, CONTROL_PERIOD
-    top = np.sqrt((a.min() * period / 2) ** 2 + 2 * a.min() * largest) - a.min() * period / 2
-    speeds = top * directions
-    return np.asarray(speeds * abs(speeds) / (2 * a) + speeds * period / 2)
+    largest = np.maximum(abs(moves).max(axis=1, keepdims=True), 1e-9)
+    limited = np.minimum(largest, largest_move)
+    if straight is None:
+        return np.asarray(moves * (limited / largest))
+    a, half_period = straight.acceleration, CONTROL_PERIOD / 2
+    slowest = (np.sqrt((a * half_period) ** 2 + 2 * a * limited) - a * half_period).min(axis=1, keepdims=True)
+    speeds = slowest * moves / largest
+    return np.asarray(speeds * abs(speeds) / (2 * a) + speeds * half_period)
 
 
 def waypoints(way: Array) -> Array:
@@ -116,29 +133,35 @@ def waypoints(way: Array) -> Array:
 
 
 class FollowedPlans:
-    """Examples from all layouts, of which a part is followed anew, with other noise, whenever `renew` is called."""
+    """Examples from all layouts, of which a part is followed anew, with other noise, whenever `renew` is called.
+
+    They replace earlier ones of that part. Those with a student's states are added (Ross, Gordon and Bagnell, AISTATS
+    2011), as nothing else holds the student to the ways.
+    """
 
     def __init__(self, shapes: ArmShapes, layouts: SolvedLayouts, parts: int, how: Following) -> None:
         self._shapes, self._layouts, self._how, self._parts = shapes, layouts, how, parts
         self._examples: dict[int, tuple[NDArray[Any], ...]] = {}
 
-    def renew(self, number: int, rng: np.random.Generator) -> int:
+    def renew(self, number: int, rng: np.random.Generator, student: Actor | None = None) -> int:
         """Follow the part of this number, counted on and on. Returns how many states were labelled."""
         part = number % self._parts
         rows = np.arange(part, len(self._layouts), self._parts)
-        self._examples[part] = follow(self._shapes, self._layouts, rows, rng, self._how)
+        acting = None if student is None else lambda rows, q: student.act(self._observations(rows, np.float32(q)))
+        examples = follow(self._shapes, self._layouts, rows, rng, self._how, acting)
+        self._examples[part if student is None else number] = examples
         parts = list(self._examples.values())
         self._rows, self._positions, self._labels = (np.concatenate([part[i] for part in parts]) for i in range(3))
-        return len(self._examples[part][0])
+        return len(examples[0])
 
     def draw(self, rng: np.random.Generator, size: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return a random batch of observations and actions (size, ...)."""
         samples = rng.integers(len(self._rows), size=size)
-        rows, positions = self._rows[samples], self._positions[samples]
-        observations = obstacles_observation(
-            self._shapes.model, positions, self._layouts.targets[rows], self._layouts.boxes[rows]
-        )
-        return observations, self._labels[samples]
+        return self._observations(self._rows[samples], self._positions[samples]), self._labels[samples]
+
+    def _observations(self, rows: NDArray[np.intp], positions: NDArray[np.float32]) -> NDArray[np.float32]:
+        layouts = self._layouts
+        return obstacles_observation(self._shapes.model, positions, layouts.targets[rows], layouts.boxes[rows])
 
 
 def _padded(ways: list[Array]) -> tuple[Array, NDArray[np.int64]]:

@@ -7,14 +7,16 @@ import torch
 from armctl.agents import read_card
 from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
-from armctl.kinematics import ArmModel, ArmShapes
+from armctl.kinematics import ArmModel, ArmShapes, ImaginedArms
+from armctl.kinematics.imagined import MOVING
 from armctl.policies import make_policy
 from armctl.rl.algorithms import plan_bc
 from armctl.rl.data import solved_layouts
-from armctl.rl.data.followed_plans import WAYPOINTS_APART, FollowedPlans, Following, follow, waypoints
+from armctl.rl.data.followed_plans import WAYPOINTS_APART, FollowedPlans, Following, follow, limited_moves, waypoints
 from armctl.rl.data.solved_layouts import ObstacleLayoutSolver, make, read
 from armctl.rl.run.training import Training
 from armctl.robot_description import load_arm
+from armctl.tasks.reach import CONTROL_PERIOD
 from armctl.tasks.reach.obstacles import obstacles_observation
 from armctl.training.learners import load_recipe
 
@@ -70,6 +72,41 @@ def test_waypoints_lie_on_the_way_and_near_to_each_other():
     assert all(any(np.allclose(corner, point) for point in points) for corner in way)
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     np.testing.assert_allclose(lengths.sum(), np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+def test_straight_moves_keep_joints_in_proportion(shapes):
+    """Joints are off the straight motion by 3 % of its length at most; with moves in proportion, by twice as much."""
+    rng, n, home = np.random.default_rng(0), 40, shapes.model.home
+    goals = home + rng.uniform(-0.8, 0.8, (n, 6))
+    off = {}
+    for straight in (True, False):
+        arms = ImaginedArms(shapes, n, 0, tolerance=0.0, period=CONTROL_PERIOD)
+        arms.begin(np.arange(n), np.tile(home, (n, 1)), 0.0, np.full((n, 3), 9.0), np.zeros((n, 0, 7)))
+        off[straight] = np.zeros(n)
+        largest = np.zeros((n, 1))
+        for _ in range(40):
+            moves = goals - arms.positions
+            largest = abs(moves).max(axis=1, keepdims=True)
+            arms.move(arms.positions + limited_moves(moves, 0.15, shapes.model.limits if straight else None))
+            whole, moved = goals - home, arms.positions - home
+            share = (moved * whole).sum(axis=1, keepdims=True) / (whole**2).sum(axis=1, keepdims=True)
+            off[straight] = np.maximum(off[straight], abs(moved - share * whole).max(axis=1))
+        free = arms.states == MOVING
+        assert free.sum() > 10
+        assert largest[free].max() < 0.01
+        off[straight] = off[straight][free] / np.linalg.norm(goals - home, axis=1)[free]
+    assert off[True].max() < 0.03
+    assert np.median(off[False]) > 2 * np.median(off[True])
+
+
+@pytest.mark.parametrize("straight", [True, False])
+def test_moves_are_limited_and_end_at_the_goal(shapes, straight):
+    limits, rng = shapes.model.limits if straight else None, np.random.default_rng(0)
+    far = limited_moves(rng.uniform(-2, 2, (50, 6)), 0.15, limits)
+    np.testing.assert_allclose(abs(far).max(axis=1), 0.15)
+    near = rng.uniform(-0.1, 0.1, (50, 6))
+    np.testing.assert_allclose(abs(limited_moves(near, 0.15, limits)).max(axis=1), abs(near).max(axis=1))
+    assert not limited_moves(np.zeros((2, 6)), 0.15, limits).any()
 
 
 def test_imagined_observations_are_those_of_the_environment(shapes):
