@@ -8,7 +8,7 @@ from armctl.kernels.edges import NEAR_START
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimePose
 from armctl.rl.data import solved_layouts
 from armctl.rl.data.followed_plans import FollowedPlans, Following, follow
-from armctl.rl.data.solved_scenes import CLEARANCES, INSIDE, LARGEST_TURN, WIDE, SceneSolver
+from armctl.rl.data.solved_scenes import ATTEMPTS, FREE, INSIDE, LARGEST_TURN, SceneSolver
 from armctl.tasks.reach import ReachScenesOptions, read_boxes
 from armctl.tasks.reach.motion_bench_maker import LAST_OF_TRAINING, ROBOT, shipped_problems
 
@@ -70,7 +70,7 @@ def test_ways_are_free_and_lead_into_the_pose(layouts, model):
         miss = search.place(way[-1]) - search.centre(target[:3], target[3:])
         assert np.linalg.norm(miss) <= INSIDE * OPTIONS.tolerance + 1e-5
         assert model.within_limits(way).all()
-        checker = EdgeChecker(ArmShapes(model), boxes, 0.4 * CLEARANCES[-1], way[0])
+        checker = EdgeChecker(ArmShapes(model), boxes, 0.4 * FREE, way[0])
         assert all(checker.is_edge_free(a, b) for a, b in itertools.pairwise(way))
 
 
@@ -78,7 +78,7 @@ def test_most_ways_are_near_only_to_what_is_near_at_their_ends(layouts, model):
     wide = []
     for row in range(len(layouts)):
         way = layouts.way(row)
-        checker = EdgeChecker(ArmShapes(model), read_boxes(layouts.boxes[row], 8), 0.9 * WIDE[0], way[-1])
+        checker = EdgeChecker(ArmShapes(model), read_boxes(layouts.boxes[row], 8), 0.9 * ATTEMPTS[0][0], way[-1])
         checker.relax(way[0], 0.9 * NEAR_START)
         wide.append(all(checker.is_edge_free(a, b) for a, b in itertools.pairwise(way[::-1])))
     assert np.mean(wide) >= 0.6
@@ -128,4 +128,4 @@ def test_a_student_moves_its_share_and_its_states_are_added(layouts, model):
 
 def test_what_scenes_depend_on_is_known(solver):
     assert solver.identity["scenes"] == OPTIONS.scenes
-    assert solver.identity["clearances"] == [*CLEARANCES, *WIDE]
+    assert solver.identity["attempts"] == [list(attempt) for attempt in ATTEMPTS]
