@@ -21,7 +21,7 @@ from armctl.robot_description import JointLimits
 from armctl.tasks.reach import CONTROL_PERIOD
 from armctl.tasks.reach.obstacles import obstacles_observation
 
-Acting = Callable[[NDArray[np.intp], Array], NDArray[Any]]
+Acting = Callable[[NDArray[np.intp], NDArray[np.float32]], NDArray[Any]]
 """Commands (k, dof), rad, of a student in layouts `rows` (k,), at joint positions (k, dof)."""
 WAYPOINTS_APART = 0.3
 """Largest joint motion between waypoints, of which a way's corners are some, rad."""
@@ -97,7 +97,7 @@ def follow(
         labels.append((arms.positions + moves)[moving].astype(np.float32))
         commands = arms.positions + moves
         if acting is not None and len(students := moving[is_student[moving]]):
-            commands[students] = acting(rows[students], arms.positions[students])
+            commands[students] = acting(rows[students], arms.positions[students].astype(np.float32))
         is_disturbed = rng.random((n, 1)) < how.noise_share
         arms.move(commands + is_disturbed * rng.normal(scale=noise, size=moves.shape))
         if has_poses:
@@ -147,7 +147,7 @@ class FollowedPlans:
         """Follow the part of this number, counted on and on. Returns how many states were labelled."""
         part = number % self._parts
         rows = np.arange(part, len(self._layouts), self._parts)
-        acting = None if student is None else lambda rows, q: student.act(self._observations(rows, np.float32(q)))
+        acting = None if student is None else lambda rows, q: student.act(self._observations(rows, q))
         examples = follow(self._shapes, self._layouts, rows, rng, self._how, acting)
         self._examples[part if student is None else number] = examples
         parts = list(self._examples.values())

@@ -54,8 +54,8 @@ def test_a_scene_is_a_problem_turned_and_shifted_as_a_whole(solver, model, monke
     np.testing.assert_allclose(boxes[:, 3:6], known[:, 3:6], atol=1e-6)
     places = np.vstack((known[:, :3], pose[:3, 3]))
     moved = np.vstack((boxes[:, :3], target[:3]))
-    apart = [np.linalg.norm(of[:, None] - of[None], axis=-1) for of in (places, moved)]
-    np.testing.assert_allclose(*apart, atol=1e-5)
+    apart, apart_before = (np.linalg.norm(of[:, None] - of[None], axis=-1) for of in (moved, places))
+    np.testing.assert_allclose(apart, apart_before, atol=1e-5)
     np.testing.assert_allclose([target[5], target[8]], pose[2, :2], atol=1e-9)  # turned about the vertical
     assert np.isclose(start[0] - problems.starts[row, 0], 0, atol=1e-6) or np.isclose(
         start[0] - problems.starts[row, 0], turn, atol=1e-5
