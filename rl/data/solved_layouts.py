@@ -104,7 +104,7 @@ class LayoutSolver(Protocol):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the layouts depend on, as JSON values."""
+        """JSON values on which the layouts depend."""
 
     def solve(self, number: int) -> SolvedLayout | None:
         """Return the layout of a number with its way; None if none was found, or none is needed."""
