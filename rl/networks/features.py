@@ -36,6 +36,7 @@ AXES = "end_effector_axes", "target_axes"
 DIRECTION = slice(10, 13)
 """Place of the direction to the target among the features of an arm."""
 
+
 class ReachFeatures(BaseFeaturesExtractor):
     """Positions, the offset to the target, each joint's sine and cosine, and the rest of the observation."""
 
