@@ -74,13 +74,6 @@ def test_it_runs_and_says_its_success(run, name, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["CrossQ"])
-def test_other_algorithms_of_sbx(run, algorithm, tmp_path):
-    words = ("--algorithm", algorithm, "--steps", "288", "--episodes", "10")
-    assert "success on 10 held-out episodes" in printed_by(run, "sbx_ppo", tmp_path, *words)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", list(ZOO))
 def test_the_zoo_trains_what_becomes_an_agent(run, algorithm, tmp_path):
     settings, env = with_fewer(algorithm, ROOT / "rl" / "zoo" / f"{algorithm}.yml", tmp_path), "armctl/ArmReach-v0"

@@ -61,5 +61,5 @@ def learner(
 def _check_no_rewards(recipe: Recipe) -> None:
     if recipe.shaping or recipe.reward_weights or any(stage.reward_weights for stage in recipe.curriculum):
         raise ConfigurationError(
-            f"{recipe.learner} earns no rewards in training: it takes neither shaping nor reward_weights"
+            f"{recipe.learner} does not learn from rewards of its own: it takes neither shaping nor reward_weights"
         )

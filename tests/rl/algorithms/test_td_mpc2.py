@@ -9,7 +9,7 @@ from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
 from armctl.rl.algorithms.td_mpc2 import Replay, TdMpcOptions, train
 from armctl.rl.networks.world_model import Binned, Planner, Shares, WorldModel
-from tests.rl.small_trainings import JUDGED, small
+from tests.rl.small_trainings import small
 
 
 @pytest.mark.parametrize("number", [-90.0, -1.0, 0.0, 0.3, 7.0, 100.0])
@@ -100,13 +100,14 @@ def test_fewer_are_elites_than_are_sampled():
 
 @pytest.mark.slow
 def test_a_training_gives_an_agent_that_plays_the_same_alone_and_among_others(tmp_path):
-    planning = {"samples": 12, "from_prior": 4, "elites": 4, "rounds": 2}
-    sizes = {"worlds": 8, "hidden_units": 32, "latent": 16, "batch_size": 16}
-    options = JUDGED | planning | sizes | {"steps": 160, "evaluation_every": 80, "random_steps": 64, "frames": 2}
+    planning = {"horizon": 2, "samples": 12, "from_prior": 4, "elites": 4, "rounds": 1}
+    sizes = {"worlds": 8, "hidden_units": 32, "latent": 16, "batch_size": 16, "gradient_steps": 2}
+    judged = {"validation_episodes": 4, "evaluation_episodes": 4, "evaluation_every": 160}
+    options = judged | planning | sizes | {"steps": 160, "random_steps": 64, "frames": 2}
     recipe = small("reach_ppo").changed(learner="td_mpc2", options=options)
     card = train(recipe, out=tmp_path / "run", seed=0, progress=False)
     assert (card.family, card.training_steps) == ("TD-MPC2", 160)
-    assert card.memory == {"past_observation": [1, 12], "begun": [1], "plan": [18]}
+    assert card.memory == {"past_observation": [1, 12], "begun": [1], "plan": [12]}
     resumed = train(recipe.changed(options=recipe.options | {"steps": 320}), out=tmp_path / "run", seed=0, resume=True,
                     progress=False)  # fmt: skip
     assert resumed.training_steps == 320
