@@ -1,7 +1,7 @@
 """Behaviour cloning of a follower of plans, made without simulation: layouts, ways and states are all kinematic.
 
-`armctl train obstacles_plan_bc` runs this. The student's own states are not labelled: states come from followers of the
-plans whose commands are disturbed (Laskey et al., DART: Noise injection for robust imitation learning, CoRL 2017).
+`armctl train obstacles_plan_bc` runs this. States come from followers of the plans whose commands are disturbed (Laskey
+et al., DART: Noise injection for robust imitation learning, CoRL 2017), and with `student_share` also from the student.
 """
 
 import numpy as np
