@@ -215,14 +215,12 @@ class DistillationBatch:
     def loss(self, rows: NDArray[np.intp]) -> torch.Tensor:
         """Return the mean squared difference to the labels in some worlds, in the network's unit."""
         network = self._student.network
-        memory = [remembered[rows] for remembered in self._initial_memory]
         inputs = [map_arrays(lambda values: values[rows], step.inputs) for step in self._steps]
-        replayed = network.replay(inputs, [step.ongoing[rows] for step in self._steps], memory)
-        losses = [
-            (network.errors(actions, step.targets[rows]).mean(dim=1) * step.is_labelled[rows]).mean()
-            for actions, step in zip(replayed, self._steps, strict=True)
-        ]
-        return torch.stack(losses).mean()
+        ongoing = [step.ongoing[rows] for step in self._steps]
+        targets = torch.stack([step.targets[rows] for step in self._steps])
+        is_labelled = torch.stack([step.is_labelled[rows] for step in self._steps])
+        actions = network.replay(inputs, ongoing, self._initial_memory[0][rows])
+        return (network.errors(actions, targets).mean(dim=2) * is_labelled).mean()
 
     def _step(self) -> "LabelledStep":
         """Make a control step."""

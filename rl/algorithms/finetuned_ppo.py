@@ -44,7 +44,8 @@ def train(training: Training, options: FinetunedPpoOptions) -> AgentCard:
     def start(model: AnchoredPpo) -> None:
         features, *layers, last = network
         policy = model.policy
-        policy.features_extractor.load_state_dict(features.state_dict())
+        if not training.view.has_fixed_features(training.envs.single_observation_space):
+            policy.features_extractor.load_state_dict(features.state_dict())
         policy.mlp_extractor.policy_net.load_state_dict(torch.nn.Sequential(*layers).state_dict())
         policy.action_net.load_state_dict(last.state_dict())
 

@@ -46,9 +46,12 @@ def joined(observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
 class GoalVectorEnv(EncodedVectorEnv):
     """Reach worlds with `achieved_goal`, the end-effector's position, and `desired_goal`, the target's (m)."""
 
-    def __init__(self, tolerance: float, *args: Any) -> None:
+    takes_features = False  # hindsight changes the goals of what it has stored
+
+    def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self.tolerance, self.reward_scale = tolerance, self.env.unwrapped.reward_scale
+        worlds = self.env.unwrapped
+        self.tolerance, self.reward_scale = worlds.task.options.tolerance, worlds.reward_scale
         low, high = split(self.encoder.space.low), split(self.encoder.space.high)
         self.observation_space = spaces.Dict({name: spaces.Box(low[name], high[name]) for name in low})
 

@@ -19,7 +19,7 @@ from armctl.rl.networks.view import View
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
-from armctl.rl.run.vector import StableBaselinesVectorEnv, vec_env_of
+from armctl.rl.run.vector import EncodedVectorEnv, StableBaselinesVectorEnv, vec_env_of
 
 Model = TypeVar("Model", bound=PPO)
 ACTIVATIONS = {"elu": torch.nn.ELU, "relu": torch.nn.ReLU}
@@ -73,7 +73,7 @@ def load_or_make(
 
 def vec_env_for(training: Training, options: PpoOptions) -> StableBaselinesVectorEnv:
     """Return the training's present worlds, as a model with these options sees them."""
-    kind = AsymmetricVectorEnv if options.privileged_critic else None
+    kind = AsymmetricVectorEnv if options.privileged_critic else EncodedVectorEnv
     return vec_env_of(training.envs, training.view, options, kind)
 
 

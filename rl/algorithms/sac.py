@@ -3,7 +3,6 @@
 `armctl train reach_sac` runs this.
 """
 
-import functools
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +21,7 @@ from armctl.rl.algorithms.sb3_training import REPLAY, decaying, learn
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
-from armctl.rl.run.vector import StableBaselinesVectorEnv, vec_env_of
+from armctl.rl.run.vector import EncodedVectorEnv, StableBaselinesVectorEnv, vec_env_of
 from armctl.tasks import ReachTask
 from armctl.tasks.reach import OBSERVATION
 from armctl.training.learners import Recipe
@@ -114,7 +113,7 @@ def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVec
         raise ConfigurationError(
             "hindsight knows the observation 'paper' only: choose that, or set the option relabelled to 0"
         )
-    kind = functools.partial(GoalVectorEnv, task.options.tolerance) if with_goals else None
+    kind = GoalVectorEnv if with_goals else EncodedVectorEnv
     return vec_env_of(training.envs, training.view, options, kind)
 
 

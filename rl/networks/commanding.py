@@ -10,7 +10,7 @@ stands still is not known well enough, the arm waits.
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,16 +111,11 @@ class CommandingNetwork(RecurrentNetwork):
         """
         return self._prepare(observation, *memory[1:])[0]
 
-    def replay(
-        self, inputs: Sequence[torch.Tensor], ongoing: Sequence[torch.Tensor], memory: list[torch.Tensor]
-    ) -> Iterator[torch.Tensor]:
-        """Yield the commands (n, dof) of consecutive steps; all but the recurrent unit in one batch."""
-        together, hidden, states = torch.stack(tuple(inputs)), memory[0], []
-        encoded = self.encoder(together[..., :-1].flatten(0, 1)).unflatten(0, together.shape[:2])
-        for step, goes_on in zip(encoded, ongoing, strict=True):
-            states.append(self.unit(step, hidden))
-            hidden = states[-1] * goes_on
-        yield from self._changed(together, self.head(torch.cat((encoded, torch.stack(states)), dim=2)))
+    def _encode(self, inputs: torch.Tensor) -> torch.Tensor:
+        return self.encoder(inputs[:, :-1])
+
+    def _actions(self, inputs: torch.Tensor, outputs: torch.Tensor) -> torch.Tensor:
+        return self._changed(inputs, outputs)
 
     def _changed(self, inputs: torch.Tensor, change: torch.Tensor) -> torch.Tensor:
         return inputs[..., self._layout.joints] + self._largest_move * inputs[..., -1:] * change

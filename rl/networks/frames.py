@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
 
 from armctl.agents import INPUT, inputs
 from armctl.core.arrays import map_arrays
@@ -47,7 +47,7 @@ class History(Encoder):
 
     def rebuilt_for(self, view: View, observation_space: gymnasium.Space[Any]) -> "History":
         """Return the same for other observations, which are prepared alike."""
-        return History(view, observation_space, self.frames, self.gap)
+        return type(self)(view, observation_space, self.frames, self.gap)
 
     def features(self, view: View) -> dict[str, Any]:
         """Return the arguments of a policy of Stable-Baselines3 for a view's features of stacks."""
@@ -68,6 +68,27 @@ class History(Encoder):
         if memory:
             next_memory.append(torch.ones_like(memory[-1]))
         return stack if isinstance(prepared, dict) else stack[INPUT], *next_memory
+
+
+class FeatureHistory(History):
+    """A view's features of such stacks, (n, k), for features that do not learn.
+
+    The learner gets each of them once, and does not compute it again in every epoch.
+    """
+
+    def __init__(self, view: View, observation_space: gymnasium.Space[Any], frames: int = 1, gap: int = 1) -> None:
+        super().__init__(view, observation_space, frames, gap)
+        self.frame_features = FrameFeatures(self.space, view)
+        self.space = _unbounded({INPUT: (self.frame_features.features_dim,)})
+
+    def features(self, view: View) -> dict[str, Any]:
+        """Return the arguments of a policy of Stable-Baselines3."""
+        return {"features_extractor_class": FlattenExtractor, "features_extractor_kwargs": {}}
+
+    def forward(self, observation: Any, *memory: torch.Tensor) -> tuple[Any, ...]:
+        """Return the features, and the next memory."""
+        stack, *next_memory = super().forward(observation, *memory)
+        return self.frame_features(stack), *next_memory
 
 
 class FrameFeatures(BaseFeaturesExtractor):

@@ -1,12 +1,13 @@
 """A recurrent network, whose memory is the state of a gated recurrent unit (Cho et al., EMNLP 2014)."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+from armctl.core.arrays import map_arrays
 from armctl.core.errors import ConfigurationError
 from armctl.rl.networks.layers import hidden_layers
 
@@ -79,6 +80,7 @@ class RecurrentNetwork(torch.nn.Module):
             features, torch.nn.Linear(features.features_dim, hidden_units), torch.nn.ReLU()
         )
         self.unit = torch.nn.GRUCell(hidden_units, memory_units)
+        self._features_learn = any(True for _ in features.parameters())
         self.image_size: int = getattr(features, "image_size", 0)
         self.memory: dict[str, tuple[int, ...]] = {MEMORY: (memory_units,)} | (
             {LAST_IMAGE: (self.image_size,)} if self.image_size else {}
@@ -86,42 +88,52 @@ class RecurrentNetwork(torch.nn.Module):
         sizes = [hidden_units + memory_units] + [hidden_units] * layers
         self.head = torch.nn.Sequential(*hidden_layers(sizes), torch.nn.Linear(sizes[-1], actions))
 
-    def recall(
-        self, observation: Any, hidden: torch.Tensor, *last_image: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, *tuple[torch.Tensor, ...]]:
+    def recall(self, observation: Any, hidden: torch.Tensor, *last_image: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return what the head sees (n, j), and the next memory, for observations (n, ...) and the memory (n, m)."""
-        features = self.encoder[0](observation)
-        if self.image_size:
-            image, rest = features[:, : self.image_size], features[:, self.image_size :]
-            is_lost = (image >= 1).all(dim=1, keepdim=True)
-            last_image = (torch.where(is_lost, last_image[0], image),)
-            features = torch.cat((*last_image, rest), dim=1)
+        features, *last_image = self._features(observation, *last_image)
         encoded = self.encoder[1:](features)
         hidden = self.unit(encoded, hidden)
         return torch.cat((encoded, hidden), dim=1), hidden, *last_image
 
-    def forward(
-        self, observation: Any, *memory: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, *tuple[torch.Tensor, ...]]:
+    def forward(self, observation: Any, *memory: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return actions (n, k), mostly in [-1, 1], and the next memory, for observations (n, ...) and the memory."""
         recalled, *next_memory = self.recall(observation, *memory)
         return self.head(recalled), *next_memory
 
     def inputs(self, observation: Any, *memory: torch.Tensor) -> Any:
-        """Return the inputs (n, ...) of `replay` for observations (n, ...) and the memory."""
-        return observation
+        """Return the inputs (n, ...) of `replay` for observations (n, ...) and the memory: features without weights."""
+        return observation if self._features_learn else self._features(observation, *memory[1:])[0]
 
-    def replay(
-        self, inputs: Sequence[Any], ongoing: Sequence[torch.Tensor], memory: list[torch.Tensor]
-    ) -> Iterator[torch.Tensor]:
-        """Yield the actions (n, k) of consecutive steps, for the inputs of each and the memory (n, ...) before them.
+    def replay(self, inputs: Sequence[Any], ongoing: Sequence[torch.Tensor], hidden: torch.Tensor) -> torch.Tensor:
+        """Return the actions (t, n, k) of consecutive steps, for the inputs of each and the unit's state before them.
 
-        `ongoing` (n, 1) is False where the episode ends with the step: the next one has no memory.
+        All but the recurrent unit is computed in one batch. `ongoing` (n, 1) is False where the episode ends with the
+        step: the next one has no memory.
         """
-        for observations, goes_on in zip(inputs, ongoing, strict=True):
-            actions, *memory = self(observations, *memory)
-            memory = [remembered * goes_on for remembered in memory]
-            yield actions
+        steps, states = map_arrays(lambda *parts: torch.stack(parts), *inputs), []
+        encoded = self._encode(map_arrays(lambda part: part.flatten(0, 1), steps)).unflatten(0, (len(inputs), -1))
+        for step, goes_on in zip(encoded, ongoing, strict=True):
+            states.append(self.unit(step, hidden))
+            hidden = states[-1] * goes_on
+        return self._actions(steps, self.head(torch.cat((encoded, torch.stack(states)), dim=2)))
+
+    def _features(self, observation: Any, *last_image: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return the features (n, k), and the features of the last image that was not lost, if they have any."""
+        features = self.encoder[0](observation)
+        if not self.image_size:
+            return (features,)
+        image, rest = features[:, : self.image_size], features[:, self.image_size :]
+        is_lost = (image >= 1).all(dim=1, keepdim=True)
+        image = torch.where(is_lost, last_image[0], image)
+        return torch.cat((image, rest), dim=1), image
+
+    def _encode(self, inputs: Any) -> torch.Tensor:
+        """Return the encoder's outputs (n, k) for inputs of `replay`."""
+        return self.encoder(inputs) if self._features_learn else self.encoder[1:](inputs)
+
+    def _actions(self, inputs: Any, outputs: torch.Tensor) -> torch.Tensor:
+        """Return the actions (t, n, k) for inputs of `replay` and the head's outputs."""
+        return outputs
 
     def remember(self, memory: list[torch.Tensor], executed: torch.Tensor) -> list[torch.Tensor]:
         """Return the memory (n, ...) if `executed` (n, k) were the environment's actions instead of its own."""

@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from gymnasium.vector.utils import create_empty_array
 from numpy.typing import NDArray
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, CombinedExtractor, FlattenExtractor
 
+from armctl.agents import inputs
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.rl.networks.actor import tensors
@@ -19,6 +20,8 @@ from armctl.rl.networks.features import features_by_name, preparation_by_name
 from armctl.rl.networks.layers import padded
 
 Features = Literal["none", "plain", "invariant", "model", "robust"]
+BARE = CombinedExtractor, FlattenExtractor
+"""Feature extractors that pass the observation on."""
 MISSING = {"model": "that know the robot's geometry", "robust": "that sensor noise hardly changes"}
 """Descriptions of features that a task may lack."""
 
@@ -51,6 +54,13 @@ class View:
         if isinstance(example, dict):
             return gymnasium.spaces.Dict({name: _space_of(values) for name, values in example.items()})
         return _space_of(example)
+
+    def has_fixed_features(self, observation_space: gymnasium.Space[Any]) -> bool:
+        """Return whether there are features without weights, of 32-bit floats, so that they need computing once."""
+        parts = inputs(self.prepared(observation_space)).values()
+        extractor = self.extractor(observation_space)
+        has_weights = any(True for _ in extractor.parameters())
+        return not has_weights and self.features not in BARE and all(part.dtype == np.float32 for part in parts)
 
     def extractor(self, observation_space: gymnasium.Space[Any]) -> BaseFeaturesExtractor:
         """Return the feature extractor of observations that are not prepared yet."""

@@ -1,7 +1,6 @@
 """armctl's vector environments as its own learners see them."""
 
-from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -13,7 +12,7 @@ from armctl.envs.observations import stacked
 from armctl.integrations.sb3 import VecEnv
 from armctl.rl.networks.actor import Actor, numpy_arrays, tensors
 from armctl.rl.networks.encoder import Encoded, Encoder
-from armctl.rl.networks.frames import History
+from armctl.rl.networks.frames import FeatureHistory, History
 from armctl.rl.networks.onnx_graph import initial_memory
 from armctl.rl.networks.view import View
 from armctl.rl.run.meter import Metered
@@ -59,6 +58,9 @@ class StableBaselinesVectorEnv(VecEnv):
 class EncodedVectorEnv(StableBaselinesVectorEnv):
     """Worlds that show what an encoder makes of their observations."""
 
+    takes_features: ClassVar[bool] = True
+    """True if an encoder may give features in place of what they are made of."""
+
     def __init__(self, encoder: Encoder, *args: Any) -> None:
         super().__init__(*args)
         self.encoder, self.observation_space = encoder, encoder.space
@@ -98,10 +100,12 @@ class EncodedVectorEnv(StableBaselinesVectorEnv):
 
 
 def vec_env_of(
-    envs: Any, view: View, options: FrameOptions, kind: Callable[..., EncodedVectorEnv] | None = None
+    envs: Any, view: View, options: FrameOptions, kind: type[EncodedVectorEnv] = EncodedVectorEnv
 ) -> StableBaselinesVectorEnv:
-    """Return worlds as a learner with these options sees them: of a `kind`, or without stacks if none are needed."""
-    if kind is None and options.frames == 1 and view.prepare is None:
+    """Return worlds as a learner with these options sees them: of a `kind`, or without encoder if none is needed."""
+    space = envs.single_observation_space
+    shows_features = kind.takes_features and view.has_fixed_features(space)
+    if kind is EncodedVectorEnv and options.frames == 1 and view.prepare is None and not shows_features:
         return StableBaselinesVectorEnv(envs, view.action_scale)
-    encoder = History(view, envs.single_observation_space, options.frames, options.frame_gap)
-    return (kind or EncodedVectorEnv)(encoder, envs, view.action_scale)
+    encoder = (FeatureHistory if shows_features else History)(view, space, options.frames, options.frame_gap)
+    return kind(encoder, envs, view.action_scale)

@@ -1,5 +1,3 @@
-import functools
-
 import numpy as np
 import pytest
 import torch
@@ -41,7 +39,7 @@ def worlds_that_show(kind, n, frames):
 
 
 def goal_worlds(n, frames=1):
-    return worlds_that_show(functools.partial(GoalVectorEnv, TOLERANCE), n, frames)
+    return worlds_that_show(GoalVectorEnv, n, frames)
 
 
 @pytest.mark.parametrize("frames", [1, 3])

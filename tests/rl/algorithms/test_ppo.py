@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 from stable_baselines3 import PPO
 
 from armctl.agents import load_agent
 from armctl.core.errors import AgentFileError, ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.rl.algorithms.ppo import train
+from armctl.rl.networks.actor import tensors
+from armctl.rl.networks.frames import FeatureHistory
 from armctl.rl.networks.view import view_of
 from armctl.robots.arm import LARGEST_RELATIVE_MOVE
 from armctl.rollout import evaluate
@@ -43,6 +44,12 @@ def small(**options):
     )
 
 
+def shown_features(worlds, observations):
+    """What the model sees of observations."""
+    features = FeatureHistory(view_of(worlds), worlds.single_observation_space)
+    return features(tensors(observations))[0].numpy()
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "small"
@@ -67,7 +74,7 @@ def test_exported_graph_is_the_network(trained):
     worlds = TaskVectorEnv(50, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
     model = PPO.load(out / "checkpoints" / f"{card.best_after}.zip", device="cpu")
-    raw = model.predict(observations, deterministic=True)[0]
+    raw = model.predict(shown_features(worlds, observations), deterministic=True)[0]
     expected = observations[:, 3:9] + LARGEST_RELATIVE_MOVE * np.clip(raw, -1, 1)
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
 
@@ -156,10 +163,7 @@ def test_a_camera_agent_is_trained_exported_and_loaded(trained_on_bridge):
     worlds = TaskVectorEnv(20, task=BridgeTask, **CAMERA)
     observations, _ = worlds.reset(seed=0)
     model = PPO.load(out / "checkpoints" / f"{card.best_after}.zip", device="cpu")
-    prepare = view_of(worlds).preparation(worlds.single_observation_space)
-    prepared = prepare({name: torch.as_tensor(part) for name, part in observations.items()})
-    shown = {name: part.numpy()[:, None] for name, part in prepared.items()}
-    raw = np.clip(model.predict(shown, deterministic=True)[0], -1, 1)
+    raw = np.clip(model.predict(shown_features(worlds, observations), deterministic=True)[0], -1, 1)
     (slow, fast), (right, left) = LEARNER_VELOCITY.T
     expected = np.array((slow + fast, right + left)) / 2 + np.array((fast - slow, left - right)) / 2 * raw
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)

@@ -17,12 +17,14 @@ from armctl.rl.run.training import Training
 from armctl.tasks.reach.moving import TargetTrajectory
 from armctl.training.learners import Recipe
 
-MOVING, OBSTACLES = "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0"
+MOVING, OBSTACLES, BRIDGE = "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", "armctl/BridgeCross-v0"
 PERIOD = 0.04
 SMALL: dict[str, Any] = {
     "steps": 16 * 8, "worlds": 16, "length": 8, "hidden_units": 16, "memory_units": 8, "mixed_steps": 64,
     "validation_episodes": 1, "evaluation_episodes": 1, "commanding": True,
 }  # fmt: skip
+
+PLAIN, ROBUST = SMALL | {"commanding": False}, {"features": "robust"}
 
 
 def recipe(env=MOVING, teacher: str | None = "moving_dagger", **changes):
@@ -104,17 +106,34 @@ def test_estimates_of_boxes_are_means_of_all_readings_until_which_are_good_the_a
     assert set((~np.array(moves)).sum(axis=0)) <= set(waiting)
 
 
-def test_replayed_steps_have_the_actions_that_were_chosen(student):
+LOST_IMAGES = {"dynamics": "kinematic", "observation": "ranges", "disturbances": {"dropout": 0.5}}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {
+            "env": BRIDGE,
+            "teacher": "random",
+            "training_options": LOST_IMAGES,
+            "options": PLAIN | {"features": "robust"},
+        },
+        {"env": OBSTACLES, "teacher": "random", "options": PLAIN, "training_options": {"solvable": False}},
+    ],
+    ids=["commanding", "lost images", "features that learn"],
+)
+def test_replayed_steps_have_the_actions_that_were_chosen(changes, tmp_path):
     """Also after actions of the teacher, and after the ends of episodes."""
+    student = student_of(recipe(**changes), tmp_path / "run")
     envs, chosen = student.training.envs, []
     batch = DistillationBatch(student, envs, teacher_in(envs.unwrapped, student.training.stage, 0))
-    scale = student.actor.scale
-    scale.register_forward_hook(lambda module, arguments, actions: chosen.append(actions))
+    student.network.register_forward_hook(lambda module, arguments, results: chosen.append(results[0]))
     batch.play()
     assert 0 < sum(not step.ongoing.all() for step in batch._steps) < len(batch._steps)
     steps = batch._steps
     replayed = student.network.replay(
-        [step.inputs for step in steps], [step.ongoing for step in steps], batch._initial_memory
+        [step.inputs for step in steps], [step.ongoing for step in steps], batch._initial_memory[0]
     )
     for own, actions in zip(chosen, replayed, strict=True):
         np.testing.assert_allclose(own.detach(), actions.detach(), atol=1e-5)

@@ -15,7 +15,7 @@ from armctl.rl.networks.encoder import Encoded
 from armctl.rl.networks.frames import FrameFeatures, History
 from armctl.rl.networks.view import view_of
 from armctl.rl.run.training import Training
-from armctl.rl.run.vector import EncodedVectorEnv
+from armctl.rl.run.vector import EncodedVectorEnv, vec_env_of
 from armctl.shaping import Shaped
 from armctl.tasks import BridgeTask, ReachTask
 from armctl.tasks.learner_view import FeatureSpec, LearnerView
@@ -217,3 +217,29 @@ def test_extractors_of_bare_observations_prepare_them(prepared):
     (now,) = observations_of(worlds.single_observation_space, 1, 2)
     features = view.extractor(worlds.single_observation_space)(tensors(now))
     assert np.array_equal(features, np.concatenate((now["motion"], now["image"].min(axis=1)), axis=1))
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_worlds_show_features_that_do_not_learn(frames):
+    """In place of the stacks that they are made of, the last ones of episodes too."""
+    envs = [make_worlds("armctl/ArmReach-v0", 2, {"max_episode_steps": 4}, autoreset_mode="same_step") for _ in "ab"]
+    view = view_of(envs[0], features="invariant")
+    options = ppo.PpoOptions(frames=frames)
+    stacks = EncodedVectorEnv(History(view, envs[0].single_observation_space, frames), envs[0], view.action_scale)
+    features, shows = FrameFeatures(stacks.observation_space, view), vec_env_of(envs[1], view, options)
+    for venv in (stacks, shows):
+        venv.seed(3)
+    stack, shown = stacks.reset(), shows.reset()
+    action = np.full((2, 6), 0.3, dtype=np.float32)
+    for _ in range(6):
+        assert np.array_equal(shown, features(torch.as_tensor(stack)))
+        (stack, _, done, stack_infos), (shown, _, _, infos) = stacks.step(action), shows.step(action)
+        for i in np.flatnonzero(done):
+            last = torch.as_tensor(stack_infos[i]["terminal_observation"])[None]
+            assert np.array_equal(infos[i]["terminal_observation"][None], features(last))
+
+
+def test_worlds_do_not_show_features_that_learn():
+    envs = make_worlds("armctl/ArmReachObstacles-v0", 1, {"solvable": False}, autoreset_mode="same_step")
+    shows = vec_env_of(envs, view_of(envs, features="invariant"), ppo.PpoOptions())
+    assert shows.observation_space == envs.single_observation_space
