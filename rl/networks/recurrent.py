@@ -90,10 +90,10 @@ class RecurrentNetwork(torch.nn.Module):
 
     def recall(self, observation: Any, hidden: torch.Tensor, *last_image: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return what the head sees (n, j), and the next memory, for observations (n, ...) and the memory (n, m)."""
-        features, *last_image = self._features(observation, *last_image)
+        features, *next_image = self._features(observation, *last_image)
         encoded = self.encoder[1:](features)
         hidden = self.unit(encoded, hidden)
-        return torch.cat((encoded, hidden), dim=1), hidden, *last_image
+        return torch.cat((encoded, hidden), dim=1), hidden, *next_image
 
     def forward(self, observation: Any, *memory: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return actions (n, k), mostly in [-1, 1], and the next memory, for observations (n, ...) and the memory."""
