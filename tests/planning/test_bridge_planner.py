@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from armctl.core.errors import ConfigurationError
 from armctl.planning import PathPlannerOptions, plan_path
+from armctl.planning.bridge_planner import _by_ompl, _march
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.tasks.bridge.layout import sample_layout
 
@@ -84,6 +85,20 @@ def test_paths_are_hardly_longer_than_the_shortest():
     ]
     assert np.median(ratios) <= 1.002
     assert max(ratios) <= 1.01
+
+
+@pytest.mark.parametrize("shape", [(10, 3), (40, 9)])  # all points are neighbours, or only the nearest
+def test_the_compiled_search_finds_the_path_of_ompls(shape):
+    rng, solved = np.random.default_rng(0), 0
+    lines = np.meshgrid(np.linspace(1.5, GOAL_X, shape[0]), np.linspace(-1, 1, shape[1]))  # many paths of equal length
+    for bridge in layouts(12):
+        lattice = np.column_stack([line.ravel() for line in lines]) - 1e-8 * rng.random((np.prod(shape), 2))
+        points = np.vstack((START, lattice, np.column_stack((np.full(9, GOAL_X), np.linspace(-1, 1, 9)))))
+        points = points[bridge.clearance(points) >= 0.3]
+        path = _march(bridge, points, GOAL_X, 0.3)
+        np.testing.assert_array_equal(path, _by_ompl(bridge, points, GOAL_X, 0.3)[0])
+        solved += len(path) > 0
+    assert solved >= 3
 
 
 def test_an_empty_bridge_is_crossed_straight():

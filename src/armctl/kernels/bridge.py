@@ -6,10 +6,14 @@ cosine and sine of the yaw, and the half sizes; m.
 
 import math
 
+import numpy as np
+
 from armctl.kernels.compiling import compiled, copy_to
 
 LESS = 1e-6
 """m: what a change of a path must save."""
+UNVISITED, OPEN, CLOSED = 0, 1, 2
+"""States of points in a search."""
 
 
 @compiled
@@ -121,6 +125,53 @@ def shorten(deck, path, points, ends):
             if nearer and edge_is_free(*deck, ax, ay, x, y):
                 last[0], last[1], shorter = x, y, True
     return corners
+
+
+@compiled
+def best_parent(x, open_points, distances, costs, reach):
+    """Return the open neighbour of point x through which its path is shortest, and that path's length, m.
+
+    Of points in a line, it is the nearest: OMPL goes through neighbours in the order of their distances.
+    """
+    parent, min_cost = -1, np.inf
+    for y in open_points:
+        edge = distances[x, y]
+        cost = costs[y] + edge
+        if edge <= reach[x] and (cost < min_cost or (cost == min_cost and edge < distances[x, parent])):
+            parent, min_cost = y, cost
+    return parent, min_cost
+
+
+@compiled
+def march(deck, points, goal_x, distances, reach, parents):
+    """Search `points` (n, 2) for a path from the first one to x = `goal_x` by FMT*, as OMPL does with nearest k.
+
+    `deck` are the first arguments of `edge_is_free`, `distances` (n, n) m. Points are neighbours if both have the other
+    within `reach` (n,) m. Returns the last point of the path, whose other points `parents` (n,) lead to; -1 if there is
+    none.
+    """
+    states, costs = np.zeros(len(points), np.int8), np.zeros(len(points))
+    is_blocked, open_points = np.zeros(distances.shape, np.bool_), np.zeros(len(points), np.int64)
+    current, num_open = 0, 1
+    while current >= 0 and points[current, 0] < goal_x:
+        states[current] = CLOSED
+        for x in range(len(points)):
+            if states[x] != UNVISITED or distances[current, x] > min(reach[current], reach[x]):
+                continue
+            parent, cost = best_parent(x, open_points[:num_open], distances, costs, reach)
+            is_blocked[parent, x] = is_blocked[parent, x] or not edge_is_free(
+                *deck, points[parent, 0], points[parent, 1], points[x, 0], points[x, 1]
+            )
+            if not is_blocked[parent, x]:
+                states[x], parents[x], costs[x] = OPEN, parent, cost
+        current, num_open = -1, 0
+        for x in range(len(points)):
+            if states[x] == OPEN:
+                open_points[num_open] = x
+                num_open += 1
+                if current < 0 or costs[x] < costs[current]:
+                    current = x
+    return current
 
 
 @compiled

@@ -5,6 +5,9 @@ the search repeatable and needs fewer points than random sampling (Janson, Ichte
 sampling-based motion planning", IJRR 2018). The points lie around the blocks, where short paths bend (Amato and Wu,
 ICRA 1996), in the middle of narrow gaps (the bridge test of Hsu et al., ICRA 2003), and all over the deck. Edges are
 checked by their exact clearance.
+
+OMPL calls Python for each edge, which takes most of the time of a search. So a compiled FMT*, which finds the same path
+as OMPL's, first searches all points; OMPL plans over the corners of that path, shortened, and checks each of its edges.
 """
 
 import math
@@ -20,6 +23,7 @@ from pydantic import Field
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, options
+from armctl.kernels import bridge as kernel
 from armctl.planning.ompl_setup import OmplProblem
 from armctl.scene import BridgeMap
 
@@ -34,7 +38,7 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 GOALS = 9
 """Points on the goal line."""
 RADIUS_MULTIPLIER = 1.5
-"""FMT*'s factor on its connection radius: with it, all points are neighbours on maps of usual size."""
+"""FMT*'s factor on its connection radius: with it, each of 60 points has 50 neighbours, each of 120 points 58."""
 ESCAPE_DISTANCES, ESCAPE_ANGLES = np.linspace(0.02, 2.0, 100), np.linspace(-np.pi, np.pi, 48, endpoint=False)
 """m, rad: offsets at which points with clearance are searched if the start has none."""
 JITTER, ROUNDING = 1e-8, 1e-7
@@ -62,7 +66,7 @@ class PlanResult:
     clearance: float
     """m: least along the path; below the requested one only if it is so at the start."""
     edges: int
-    """Edges checked by OMPL."""
+    """Edges checked by OMPL, of the path and between its corners."""
     seconds: float
     """Planning time."""
 
@@ -157,7 +161,7 @@ def _points(bridge: BridgeMap, clearance: float, spread: int) -> Array:
 
 
 def _search(bridge: BridgeMap, start: Array, goal_x: float, clearance: float, points: Array) -> tuple[Array, int]:
-    """Return the path over points (m, 2) that FMT* finds, (k, 2) or (0, 2), and the number of edges checked."""
+    """Return the path over points (m, 2) that FMT* finds, (k, 2) or (0, 2), and the number of edges OMPL checked."""
     side = bridge.half_width - clearance
     goals = np.append(np.linspace(-side, side, GOALS), np.clip(start[1], -side, side))
     points = np.vstack((points[points[:, 0] < goal_x], np.column_stack((np.full(len(goals), goal_x), goals))))
@@ -166,19 +170,43 @@ def _search(bridge: BridgeMap, start: Array, goal_x: float, clearance: float, po
     points = points + JITTER * np.random.default_rng(0).random(points.shape)
     points[:, 0] = np.minimum(points[:, 0], goal_x)
 
+    path = _march(bridge, np.vstack((start, points)), goal_x, clearance)
+    if not len(path):
+        return path, 0
+    return _by_ompl(
+        bridge, bridge.shortened(path, points, points[points[:, 0] >= goal_x], clearance), goal_x, clearance
+    )
+
+
+def _by_ompl(bridge: BridgeMap, points: Array, goal_x: float, clearance: float) -> tuple[Array, int]:
+    """Return the path that OMPL's FMT* finds over points (n, 2) from the first one, and the number of edges checked."""
     is_free = bridge.edge_test(clearance)
     low, high = np.array((0.0, -bridge.half_width)), np.array((bridge.length, bridge.half_width))
-    problem = OmplProblem(low, high, lambda a, b: is_free(a[0], a[1], b[0], b[1]), start)
+    problem = OmplProblem(low, high, lambda a, b: is_free(a[0], a[1], b[0], b[1]), points[0])
     planner = geometric.FMT(problem.information)
     planner.setNumSamples(0)
     planner.setExtendedFMT(False)  # no random points
     planner.setRadiusMultiplier(RADIUS_MULTIPLIER)
-    goal = _GoalLine(problem.information, goal_x, points)
+    goal = _GoalLine(problem.information, goal_x, points[1:])
     # FMT* terminates by itself when it has no points left
-    path = problem.solve(planner, goal, base.plannerNonTerminatingCondition())
-    if len(path):
-        path = bridge.shortened(path, points, points[points[:, 0] >= goal_x], clearance)
-    return path, problem.edges_checked
+    return problem.solve(planner, goal, base.plannerNonTerminatingCondition()), problem.edges_checked
+
+
+def _march(bridge: BridgeMap, points: Array, goal_x: float, clearance: float) -> Array:
+    """Return the path that `_by_ompl` returns, compiled."""
+    neighbors = math.ceil((2 * RADIUS_MULTIPLIER) ** 2 * (math.e / 2) * math.log(len(points)))
+    (x, y), reach = points.T.copy(), np.full(len(points), np.inf)
+    x, y = x[:, None] - x, y[:, None] - y
+    distances = np.sqrt(x * x + y * y)
+    if neighbors <= len(points):
+        reach = np.partition(distances, neighbors - 1)[:, neighbors - 1]  # a point is the first of its neighbours
+    parents = np.empty(len(points), dtype=np.int64)
+    last = kernel.march((*bridge.deck, clearance), points, goal_x, distances, reach, parents)
+    indices = [last] if last >= 0 else []
+    while last > 0:
+        last = parents[last]
+        indices.append(last)
+    return np.asarray(points[indices[::-1]])
 
 
 class _GoalLine(base.GoalSampleableRegion):  # type: ignore[misc]
