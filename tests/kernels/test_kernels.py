@@ -257,6 +257,6 @@ def test_quadratic_models_of_poses(model, rng):
 def test_distances_are_rounded_as_they_are_observed(rng):
     positions, targets = rng.normal(size=(2, 50, 3))
     found = np.empty(50)
-    control_step.distances_as_observed(positions, targets, found)
+    target_distance.distances_as_observed(positions, targets, found)
     seen = [np.float32(numbers).astype(float) for numbers in (positions, targets)]
     np.testing.assert_allclose(found, np.linalg.norm(seen[1] - seen[0], axis=1), **CLOSE)

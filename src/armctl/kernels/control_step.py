@@ -1,21 +1,19 @@
 """A control step of MuJoCo's physics, in one world after another: see `armctl.simulation.control_step`.
 
-It calls MuJoCo's library, by addresses of models and data. A model and the data on which worlds are stepped are a
-`StepBuffers`; a world's state is copied there and back.
+A model and the data on which worlds are stepped are a `StepBuffers`; a world's state is copied there and back.
 """
 
-from pathlib import Path
 from typing import NamedTuple
 
-import llvmlite.binding
 import mujoco
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
+from armctl.kernels import mujoco_library as mj
 from armctl.kernels.compiling import compiled
 from armctl.kernels.drives import drive_joints
+from armctl.kernels.target_distance import angle_between, distance_as_observed
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 ROUNDING = 1e-9
@@ -48,6 +46,8 @@ class StepBuffers(NamedTuple):
     """Model fields that each world has, (k, 4): address of the first row, bytes of a row, addresses in both models."""
     outputs: Indices
     """Fields copied out after a control step, (k, 3): address in the data, bytes of a row, address of the first."""
+    kinematic: bool
+    """True if outputs and sensors depend on positions, velocities and contacts only, and not on forces."""
 
 
 class Worlds(NamedTuple):
@@ -159,55 +159,6 @@ class Clock(NamedTuple):
     """Column of the state with the time."""
 
 
-def _load_mujoco() -> None:
-    folder = Path(mujoco.__file__).parent
-    library = next(path for pattern in ("libmujoco.*", "mujoco.dll") for path in folder.glob(pattern))
-    llvmlite.binding.load_library_permanently(str(library))
-
-
-_load_mujoco()
-_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
-_begin_step = types.ExternalFunction("mj_step1", types.void(types.intp, types.intp))
-_end_step = types.ExternalFunction("mj_step2", types.void(types.intp, types.intp))
-_forward = types.ExternalFunction("mj_forward", types.void(types.intp, types.intp))
-_get_state = types.ExternalFunction("mj_getState", types.void(types.intp, types.intp, types.intp, types.int32))
-_set_state = types.ExternalFunction("mj_setState", types.void(types.intp, types.intp, types.intp, types.int32))
-_copy = types.ExternalFunction("memcpy", types.intp(types.intp, types.intp, types.intp))
-
-
-@compiled
-def distance_as_observed(position, target):
-    """Return the distance (m) of a position from a target (3,), rounded as in observations."""
-    square = 0.0
-    for axis in range(3):
-        offset = np.float64(np.float32(target[axis])) - np.float64(np.float32(position[axis]))
-        square += offset * offset
-    return np.sqrt(square)
-
-
-@compiled
-def distances_as_observed(positions, targets, distances):
-    """Compute `distances` (n,) of n positions from targets, (n, 3) each, rounded as in observations."""
-    for i in range(len(distances)):
-        distances[i] = distance_as_observed(positions[i], targets[i])
-
-
-@compiled
-def angle_between(rotation, target):
-    """Return the angle (rad) between two rotation matrices (9,)."""
-    square = 0.0
-    for i in range(9):
-        square += (target[i] - rotation[i]) ** 2
-    return 2 * np.arcsin(min(1.0, np.sqrt(square / 8)))
-
-
-@compiled
-def angles_between(rotations, targets, angles):
-    """Compute the `angles` (n,) between rotation matrices (n, 9), rad."""
-    for i in range(len(angles)):
-        angles[i] = angle_between(rotations[i], targets[i])
-
-
 @compiled
 def was_hit_hard(impact, state, sensors):
     """Return True if a column of the state (k,) is out of its bounds or not a number, or a contact is deep."""
@@ -218,16 +169,32 @@ def was_hit_hard(impact, state, sensors):
 
 
 @compiled
-def step_finely(buffers, impact, state, steps):
-    """Make `steps` finer ones from `state`, with bounds on speeds."""
-    _set_state(buffers.model, buffers.data, state.ctypes.data, STATE)
+def step_finely(buffers, impact, steps):
+    """Make `steps` finer ones, with bounds on speeds."""
     buffers.warnings[:] = 1
     for _ in range(steps):
-        _step(buffers.finer, buffers.data)
+        mj.step(buffers.finer, buffers.data)
         for k in range(len(impact.dofs)):
             speed = buffers.qvel[impact.dofs[k]]
             buffers.qvel[impact.dofs[k]] = min(max(speed, -impact.bounds[k]), impact.bounds[k])
-    _forward(buffers.model, buffers.data)
+    if buffers.kinematic:  # the next step computes other forces than those of motors
+        mj.begin_step(buffers.model, buffers.data)
+        mj.actuate(buffers.model, buffers.data)
+    else:
+        mj.forward(buffers.model, buffers.data)
+
+
+@compiled
+def sense(buffers):
+    """Compute sensors and outputs of a state from which no step follows: what a step begins with, without forces."""
+    if buffers.kinematic:
+        mj.kinematics(buffers.model, buffers.data)
+        mj.collide(buffers.model, buffers.data)
+        mj.sense_positions(buffers.model, buffers.data)
+        mj.body_velocities(buffers.model, buffers.data)
+        mj.sense_velocities(buffers.model, buffers.data)
+    else:
+        mj.begin_step(buffers.model, buffers.data)
 
 
 @compiled
@@ -244,32 +211,33 @@ def is_unstable(buffers):
 
 
 @compiled
-def tick(buffers, impact, row, state_before, good, substeps, is_current):
-    """Make `substeps` physics steps. Returns whether they were repeated in finer ones, and whether all is stable.
+def drive(buffers, drives, world, positions, period):
+    """Set the commands of motors for a tick of `period` s. `positions` (dof,) is room for those of the joints."""
+    for i in range(len(positions)):
+        positions[i] = buffers.qpos[drives.columns[i]]
+    drive_joints(
+        drives.joints, drives.setpoints[world], drives.to_positions, positions, buffers.act, buffers.ctrl,
+        drives.following_error, period,
+    )  # fmt: skip
 
-    The state after them is written into `row` (k,), and into `good` (k,), which is taken back to if they are unstable.
-    `state_before` (k,) is room for the state before them. With `is_current`,
-    positions and velocities are those of the state.
+
+@compiled
+def make_steps(buffers, substeps, is_current, is_last):
+    """Make `substeps` physics steps.
+
+    With `is_current`, what a step begins with has been computed. With `is_last`, that of the next is not.
     """
-    _get_state(buffers.model, buffers.data, state_before.ctypes.data, STATE)
     buffers.warnings[:] = 1
     if not is_current:
-        _begin_step(buffers.model, buffers.data)
-    for _ in range(substeps):
-        _end_step(buffers.model, buffers.data)
-        _begin_step(buffers.model, buffers.data)
-    _get_state(buffers.model, buffers.data, row.ctypes.data, STATE)
-    hit = was_hit_hard(impact, row, buffers.sensors)
-    if hit:
-        step_finely(buffers, impact, state_before, substeps * impact.steps)
-        _get_state(buffers.model, buffers.data, row.ctypes.data, STATE)
-    stable = not is_unstable(buffers)
-    if not stable:
-        _set_state(buffers.model, buffers.data, good.ctypes.data, STATE)
-        _forward(buffers.model, buffers.data)
-        _get_state(buffers.model, buffers.data, row.ctypes.data, STATE)
-    _get_state(buffers.model, buffers.data, good.ctypes.data, STATE)
-    return hit, stable
+        mj.begin_step(buffers.model, buffers.data)
+    for _ in range(substeps - 1):
+        mj.end_step(buffers.model, buffers.data)
+        mj.begin_step(buffers.model, buffers.data)
+    mj.end_step(buffers.model, buffers.data)
+    if is_last:
+        sense(buffers)
+    else:
+        mj.begin_step(buffers.model, buffers.data)
 
 
 @compiled
@@ -313,37 +281,57 @@ def sample(buffers, samples, target_query, world, tick_number):
 
 
 @compiled
+def tick(arguments, world, k, memory):
+    """Make tick `k` of a world, with its state after it in `worlds.state`. Returns whether all is stable.
+
+    `arguments` are those that are bound; `memory` is room for a state and the positions of joints.
+    """
+    clock, buffers, worlds, impact, parts = arguments
+    (after, positions), row = memory, worlds.state[world]
+    period, moving = clock.timestep * clock.substeps, len(parts.poses.bodies) > 0
+    if moving:
+        move(buffers, parts.poses, world, k)
+    drive(buffers, parts.drives, world, positions, period)
+    make_steps(buffers, clock.substeps, k > 0 and not moving, k == clock.ticks - 1 or moving)
+    mj.get_state(buffers.model, buffers.data, after.ctypes.data, STATE)
+    hit = was_hit_hard(impact, after, buffers.sensors)
+    if hit:
+        mj.set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
+        drive(buffers, parts.drives, world, positions, period)
+        step_finely(buffers, impact, clock.substeps * impact.steps)
+        mj.get_state(buffers.model, buffers.data, after.ctypes.data, STATE)
+        worlds.refined[world] += 1
+    stable = not is_unstable(buffers)
+    if not stable:
+        good = worlds.good[world] if k == 0 else row
+        mj.set_state(buffers.model, buffers.data, good.ctypes.data, STATE)
+        mj.forward(buffers.model, buffers.data)
+        mj.get_state(buffers.model, buffers.data, after.ctypes.data, STATE)
+    elif hit:
+        record_contacts(parts.contacts, world, after, row[clock.column] - ROUNDING)
+    mj.copy(row.ctypes.data, after.ctypes.data, row.nbytes)
+    return stable
+
+
+@compiled
 def control_steps(ids, bound):
     """Advance worlds `ids` by a control step. Bound are `Clock`, `StepBuffers`, `Worlds`, `HardImpact` and `Parts`."""
-    clock, buffers, worlds, impact, parts = bound.arguments
-    drives, samples, target_query, contacts, poses = parts
-    state_before, positions = np.empty(worlds.state.shape[1]), np.empty(len(drives.joints))
+    clock, buffers, worlds, _, parts = bound.arguments
+    memory = np.empty(worlds.state.shape[1]), np.empty(len(parts.drives.joints))
     for world in ids:
-        row, good = worlds.state[world], worlds.good[world]
+        row = worlds.state[world]
         for i in range(len(buffers.world_fields)):
             first, size, field, finer_field = buffers.world_fields[i]
-            _copy(field, first + world * size, size)
-            _copy(finer_field, first + world * size, size)
-        _set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
-        worlds.refined[world], standing, moving = 0, False, len(poses.bodies) > 0
+            mj.copy(field, first + world * size, size)
+            mj.copy(finer_field, first + world * size, size)
+        mj.set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
+        worlds.refined[world], standing = 0, False
         for k in range(clock.ticks):
             if not standing:
-                if moving:
-                    move(buffers, poses, world, k)
-                start = row[clock.column]
-                for i in range(len(positions)):
-                    positions[i] = buffers.qpos[drives.columns[i]]
-                drive_joints(
-                    drives.joints, drives.setpoints[world], drives.to_positions, positions, buffers.act,
-                    buffers.ctrl, drives.following_error, clock.timestep * clock.substeps,
-                )  # fmt: skip
-                hit, stable = tick(buffers, impact, row, state_before, good, clock.substeps, k > 0 and not moving)
-                worlds.refined[world] += hit
-                worlds.unstable[world] = standing = not stable
-                if hit and stable:
-                    record_contacts(contacts, world, row, start - ROUNDING)
-            if sample(buffers, samples, target_query, world, k):
+                worlds.unstable[world] = standing = not tick(bound.arguments, world, k, memory)
+            if sample(buffers, parts.samples, parts.target_query, world, k):
                 standing = True
+        mj.copy(worlds.good[world].ctypes.data, row.ctypes.data, row.nbytes)
         for i in range(len(buffers.outputs)):
             field, size, first = buffers.outputs[i]
-            _copy(first + world * size, field, size)
+            mj.copy(first + world * size, field, size)

@@ -6,6 +6,7 @@ but would have to be left and entered again at each tick. Unlike the batch, an e
 fatal, such as too little memory for a model's contacts, ends the process here.
 """
 
+import ctypes
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -17,6 +18,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from armctl.kernels import control_step as kernel
+from armctl.kernels import mujoco_library
 from armctl.kernels.compiling import Bound, bound
 from armctl.kernels.control_step import (
     Clock,
@@ -35,9 +37,17 @@ from armctl.simulation.history import state_column
 
 _BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 """MuJoCo's warnings of bad positions, velocities and accelerations."""
+_clock = ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco_library.PATH), "mjcb_time")
+"""MuJoCo's clock, for its statistics (`MjData.timer`). Its Python package sets one, and each stage of a step reads it
+twice, which takes a tenth of a step: worlds here are stepped without."""
 _NONE = np.zeros(0, dtype=np.intp)
 SHARES = 4
 """Shares of the worlds for each thread: threads that finish sooner take more."""
+_KINEMATIC = {
+    *("xpos", "xquat", "xmat", "xipos", "ximat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),
+    *("cam_xpos", "cam_xmat", "sensordata"),
+}
+"""Outputs that depend on positions, velocities and contacts only, if that is true of the sensors."""
 NO_PARTS = Parts(
     Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0, _NONE),
     Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0))),
@@ -67,8 +77,16 @@ class Stepper:
     def step(self, ids: NDArray[np.int32], ticks: int, substeps: int, parts: Parts = NO_PARTS) -> None:
         """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
         self._worlds.refined[:] = 0
+        arguments = self._bound_to(ticks, substeps, parts)[: max(1, len(ids))]
+        clock, _clock.value = _clock.value, None
+        try:
+            self._run(ids, *arguments)
+        finally:
+            if clock:
+                _clock.value = clock
+
+    def _run(self, ids: NDArray[np.int32], first: Bound, *others: Bound) -> None:
         run: Callable[..., None] = kernel.control_steps
-        first, *others = self._bound_to(ticks, substeps, parts)[: max(1, len(ids))]
         if not others:
             run(ids, first)
             return
@@ -134,7 +152,18 @@ class Stepper:
             body_positions=(model.body_pos, finer.body_pos),
             world_fields=np.array(rows, dtype=np.intp).reshape(-1, 4),
             outputs=np.array(outputs, dtype=np.intp).reshape(-1, 3),
+            kinematic=self._outputs.keys() <= _KINEMATIC and _has_kinematic_sensors(model),
         )
+
+
+def _has_kinematic_sensors(model: mujoco.MjModel) -> bool:
+    """Return whether all sensors are of kinds whose values depend on positions, velocities and contacts only."""
+    kinds = (
+        mujoco.mjtSensor.mjSENS_CONTACT, mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL,
+        mujoco.mjtSensor.mjSENS_GYRO,
+    )  # fmt: skip
+    without_forces = model.sensor_needstage < int(mujoco.mjtStage.mjSTAGE_ACC)
+    return bool((without_forces & np.isin(model.sensor_type, [int(kind) for kind in kinds])).all())
 
 
 def _field(model: mujoco.MjModel, name: str) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from armctl.core.arrays import Array
 from armctl.core.options import Positive, options
-from armctl.kernels.control_step import angles_between
+from armctl.kernels.target_distance import angles_between
 from armctl.kinematics import MinimumTimePose
 from armctl.robot_description import ArmDescription
 from armctl.robots.arm import PREFIX, build_arm_world

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array, Observations
 from armctl.core.errors import ConfigurationError
 from armctl.disturbances import ARM
-from armctl.kernels.control_step import Parts, TargetQuery, distances_as_observed
+from armctl.kernels.control_step import Parts, TargetQuery
+from armctl.kernels.target_distance import distances_as_observed
 from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, Workspace
 from armctl.robot_description import ArmDescription, load_arm
 from armctl.robot_description.joint_profiles import TICK
