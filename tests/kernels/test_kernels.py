@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from armctl.kernels import arm, capsules, control_step, drives, ik, reach, reach_mpc
+from armctl.kernels import arm, capsules, drives, ik, reach, reach_mpc, target_distance
 from armctl.kernels.clearance import ScaledScene
 from armctl.kernels.edges import PAIR
 from armctl.kinematics import ArmModel, MinimumTimePose

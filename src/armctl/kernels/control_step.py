@@ -287,29 +287,29 @@ def tick(arguments, world, k, memory):
     `arguments` are those that are bound; `memory` is room for a state and the positions of joints.
     """
     clock, buffers, worlds, impact, parts = arguments
-    (after, positions), row = memory, worlds.state[world]
+    (next_state, positions), row = memory, worlds.state[world]
     period, moving = clock.timestep * clock.substeps, len(parts.poses.bodies) > 0
     if moving:
         move(buffers, parts.poses, world, k)
     drive(buffers, parts.drives, world, positions, period)
     make_steps(buffers, clock.substeps, k > 0 and not moving, k == clock.ticks - 1 or moving)
-    mj.get_state(buffers.model, buffers.data, after.ctypes.data, STATE)
-    hit = was_hit_hard(impact, after, buffers.sensors)
+    mj.get_state(buffers.model, buffers.data, next_state.ctypes.data, STATE)
+    hit = was_hit_hard(impact, next_state, buffers.sensors)
     if hit:
         mj.set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
         drive(buffers, parts.drives, world, positions, period)
         step_finely(buffers, impact, clock.substeps * impact.steps)
-        mj.get_state(buffers.model, buffers.data, after.ctypes.data, STATE)
+        mj.get_state(buffers.model, buffers.data, next_state.ctypes.data, STATE)
         worlds.refined[world] += 1
     stable = not is_unstable(buffers)
     if not stable:
         good = worlds.good[world] if k == 0 else row
         mj.set_state(buffers.model, buffers.data, good.ctypes.data, STATE)
         mj.forward(buffers.model, buffers.data)
-        mj.get_state(buffers.model, buffers.data, after.ctypes.data, STATE)
+        mj.get_state(buffers.model, buffers.data, next_state.ctypes.data, STATE)
     elif hit:
-        record_contacts(parts.contacts, world, after, row[clock.column] - ROUNDING)
-    mj.copy(row.ctypes.data, after.ctypes.data, row.nbytes)
+        record_contacts(parts.contacts, world, next_state, row[clock.column] - ROUNDING)
+    mj.copy(row.ctypes.data, next_state.ctypes.data, row.nbytes)
     return stable
 
 

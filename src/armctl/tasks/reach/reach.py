@@ -238,10 +238,8 @@ class ReachTask(Task):
 
     def min_time(self, world: int) -> float:
         """Return the least time to the target within the joint limits, without regard to obstacles, s."""
-        q, velocity, target = (
-            array[world] for array in (self.arm.joint_positions, self.arm.joint_velocities, self._targets)
-        )
-        return self._minimum_time.min_time(q, target, self.options.tolerance, velocity)
+        q, velocity = self.arm.joint_positions[world], self.arm.joint_velocities[world]
+        return self._minimum_time.min_time(q, self._targets[world], self.options.tolerance, velocity)
 
     def goal_distances(self) -> Array:
         """Return the distances (n,) from the end-effectors to their targets, m."""
