@@ -122,7 +122,7 @@ class AnchoredPpo(PPO):
             ratio = (log_prob - batch.old_log_prob).exp()
             gain = torch.min(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
             value_loss = (values.flatten() - batch.returns).square().mean()
-            distance = self._distance_of(actor, batch.observations).mean()
+            distance = self._distance_of(actor, batch.observations).mean() if weight else torch.zeros(())
             loss = self.vf_coef * value_loss - gain - self.ent_coef * entropy.mean() + weight * distance
             self.policy.optimizer.zero_grad()
             loss.backward()

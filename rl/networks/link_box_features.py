@@ -99,6 +99,20 @@ class LinkBoxFeatures(BaseFeaturesExtractor):
     def _encode(
         self, boxes: torch.Tensor, base_yaw: torch.Tensor, target: torch.Tensor, points: torch.Tensor
     ) -> torch.Tensor:
+        present = (boxes[..., 3:6] > 0).all(dim=-1)
+        if torch.compiler.is_exporting():  # a graph of one shape
+            encoded = self._encode_each(boxes, base_yaw, target, points) * present[..., None]
+        else:  # two thirds of the boxes are absent
+            worlds, slots = present.nonzero(as_tuple=True)
+            among = (boxes[worlds, slots][:, None], base_yaw[worlds], target[worlds], points[worlds])
+            encoded = points.new_zeros(*present.shape, self.boxes[-2].out_features)
+            encoded[worlds, slots] = self._encode_each(*among)[:, 0]
+        return encoded.amax(dim=1)
+
+    def _encode_each(
+        self, boxes: torch.Tensor, base_yaw: torch.Tensor, target: torch.Tensor, points: torch.Tensor
+    ) -> torch.Tensor:
+        """Return each box's features (n, boxes, k)."""
         centre, half_sizes = rotated(boxes[..., :3], -base_yaw[:, None]), boxes[..., 3:6]
         yaw, tilt = boxes[..., 6:7] - base_yaw[:, None], boxes[..., 7:]
         turns = math.pi * (yaw / math.pi).round()  # a box rotated by pi is the same, if tilted to the other side
@@ -108,8 +122,7 @@ class LinkBoxFeatures(BaseFeaturesExtractor):
         aim = self.seen_from(target[:, None], centre, half_sizes, angles, torch.zeros_like(self.radii[:1]))
         turned = (yaw.sin(), yaw.cos(), *((tilt.sin(), tilt.cos()) if self.box_numbers > BOX_NUMBERS else ()))
         of_box = (LENGTH_SCALE * half_sizes, LENGTH_SCALE * centre, aim[..., 0, :6], *turned)
-        present = (half_sizes > 0).all(dim=-1, keepdim=True)
-        return (self.boxes(torch.cat((points_seen.flatten(2), *of_box), dim=-1)) * present).amax(dim=1)
+        return self.boxes(torch.cat((points_seen.flatten(2), *of_box), dim=-1))
 
     @staticmethod
     def seen_from(
