@@ -278,15 +278,14 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
 
     def _rewards(self, terms: RewardTerms) -> Array:
         """Return the weighted sums of the terms. Raises `EnvironmentFailed` if one is too large or not a number."""
-        rewards = np.array([*terms.values()]).reshape(len(terms), self.num_envs)
+        rewards = np.array([*terms.values()])
         if np.count_nonzero(np.abs(rewards) <= LARGEST_REWARD) < rewards.size:
             self._refuse(terms)
-        if self.reward_weights:
-            rewards *= np.array([[self.reward_weights.get(name, 1.0)] for name in terms])
         total = np.zeros(self.num_envs)
-        for values in rewards:  # one after the other: NumPy's sum would depend on the number of worlds
-            total += values
-        return self.reward_scale * total
+        for name, values in terms.items():  # one after the other: NumPy's sum would depend on the number of worlds
+            total += self.reward_weights[name] * values if name in self.reward_weights else values
+        total *= self.reward_scale
+        return total
 
     def _refuse(self, terms: RewardTerms) -> None:
         for name, rewards in terms.items():

@@ -41,7 +41,7 @@ _clock = ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco_library.PATH), "mjcb_time")
 """MuJoCo's clock, for its statistics (`MjData.timer`). Its Python package sets one, and each stage of a step reads it
 twice, which takes a tenth of a step: worlds here are stepped without."""
 _NONE = np.zeros(0, dtype=np.intp)
-SHARES = 4
+SHARES = 16
 """Shares of the worlds for each thread: threads that finish sooner take more."""
 _KINEMATIC = {
     *("xpos", "xquat", "xmat", "xipos", "ximat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),

@@ -194,7 +194,7 @@ class ReachTask(Task):
         """Simulate until the next control step, in worlds `ids` or in all."""
         self._place_targets(ids)
         self.simulation.control_step(TICKS, self.substeps // TICKS, ids, self._parts)
-        self._nearest = self._target_query.distances.min(axis=0)
+        self._nearest = np.minimum.reduce(self._target_query.distances)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """Return the parts of `ReachOptions.parts`, (n, k) each."""
