@@ -4,9 +4,15 @@ import math
 
 import numpy as np
 
-from armctl.kernels.arm import forward, tip_of
+from armctl.kernels.arm import forward, linearise, tip_of, turned, workspace
+from armctl.kernels.arm_dynamics import factor, solve
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.reach import nearest_turn
+
+NEAR_ENOUGH, MAX_STEPS = 1e-10, 5
+"""m and rad: error of a configuration that is improved no more, and the number of steps after which it is given up."""
+DAMPING = 1e-12
+"""Damping of steps (m^2, rad^2): small enough to change none but those at singular poses."""
 
 
 @compiled
@@ -76,6 +82,63 @@ def tip_pose(joints, q, rotations, origins, rotation, position):
             rotation[i, j] = 0.0
             for k in range(3):
                 rotation[i, j] += rotations[last, i, k] * joints[last].tip_rotation[k, j]
+
+
+@compiled
+def small_twist(joints, memory, pose, error):
+    """Compute the twist (6,) m and rad, in the base, from a near end-effector to a pose; return its length.
+
+    `memory` is that of `linearise`, which has been there.
+    """
+    last, axis = joints[len(joints) - 1], np.empty(3)
+    rotation, tip = memory[0][len(joints) - 1], memory[3]
+    error[:] = 0.0
+    for column in range(3):
+        turned(rotation, last.tip_rotation[:, column], axis)
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            error[3 + i] += (axis[j] * pose[k, column] - axis[k] * pose[j, column]) / 2
+    square = 0.0
+    for i in range(3):
+        error[i] = pose[i, 3] - tip[i]
+        square += error[i] * error[i] + error[3 + i] * error[3 + i]
+    return math.sqrt(square)
+
+
+@compiled
+def tip_jacobian(joints, memory, jacobian):
+    """Compute how the motors move the end-effector, (6, dof) in the base, from the `memory` of `linearise`."""
+    axes, gradients = memory[2], memory[4]
+    jacobian[:] = 0.0
+    for i in range(3):
+        for k in range(len(gradients)):
+            jacobian[i, k] = gradients[k, i]
+        for k in range(len(joints)):
+            if not joints[k].slides:
+                jacobian[3 + i, joints[k].motor] += joints[k].ratio * axes[k, i]
+
+
+@compiled
+def refine(joints, pose, q):
+    """Make Newton steps of least length from q (n, dof), in place, to a `pose` (4, 4) that they miss by little."""
+    memory, jacobian = workspace(joints), np.empty((6, q.shape[1]))
+    gram, error = np.empty((6, 6)), np.empty(6)
+    for row in range(len(q)):
+        for _ in range(MAX_STEPS):
+            linearise(joints, q[row], memory)
+            if small_twist(joints, memory, pose, error) < NEAR_ENOUGH:
+                break
+            tip_jacobian(joints, memory, jacobian)
+            for i in range(6):
+                for j in range(i + 1):
+                    gram[i, j] = DAMPING * (i == j)
+                    for k in range(q.shape[1]):
+                        gram[i, j] += jacobian[i, k] * jacobian[j, k]
+            factor(gram)
+            solve(gram, error)
+            for k in range(q.shape[1]):
+                for i in range(6):
+                    q[row, k] += jacobian[i, k] * error[i]
 
 
 @compiled

@@ -8,6 +8,7 @@ samples that.
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import eaik.pybindings.EAIK as eaik
@@ -16,6 +17,7 @@ import pinocchio
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
+from armctl.kernels import ik as kernel
 from armctl.kinematics.model import ArmModel
 
 ClosedForm = Callable[[Array], tuple[Array, NDArray[np.bool_]]]
@@ -25,6 +27,8 @@ PREBUILT = {"panda": "franka_panda", "UF_ROBOT": "xarm7"}
 """Robots that ssik knows, by the names in their URDF files."""
 SAME = 1e-9
 """m: largest difference between two models of one arm."""
+DIGITS = 4
+"""Decimal places (m) of arms' dimensions: what is beyond comes from angles that are rounded in their files."""
 
 
 def six_joints(model: ArmModel) -> ClosedForm | None:
@@ -61,13 +65,48 @@ def seven_joints(model: ArmModel) -> ClosedForm | None:
     samples = model.random_configurations(np.random.default_rng(0), 20)
     if max(np.abs(solver.fk(q) @ to_tip - model.pose(q)).max() for q in samples) > SAME:
         return None
-    from_tip = np.linalg.inv(to_tip)
+    from_tip, branches = np.linalg.inv(to_tip), _branches(solver)
 
     def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
-        solutions = [solution.q for solution in solver.solve(pose @ from_tip, enumerate_windings=False)]
-        return np.array(solutions, dtype=float).reshape(-1, model.dof), np.zeros(len(solutions), dtype=bool)
+        solutions = branches(pose @ from_tip)
+        kernel.refine(model.joints, pose, solutions)
+        return solutions, np.zeros(len(solutions), dtype=bool)
 
     return solve
+
+
+def _branches(arm: Any) -> Callable[[Array], Array]:
+    """Return the function from a pose of ssik's arm to configurations (k, dof) nearer to it than `kernel.refine` needs.
+
+    Axes that meet in a real arm miss each other by micrometres where its file has rounded angles, and ssik then
+    improves each configuration numerically. Those of the arm with axes that meet need no more than `kernel.refine`.
+    """
+    try:
+        from ssik import Manipulator, _ssik_native, cpp
+
+        data, links = cpp.solver_data(arm), arm.kinbody
+        joints = [
+            replace(joint, **{name: np.round(getattr(joint, name), DIGITS) for name in ("axis", "T_left", "T_right")})
+            for joint in links.joints
+        ]
+        exact = Manipulator(replace(links, joints=joints))
+        if arm.solver_name == f"{exact.solver_name}_polished":
+            data = replace(cpp.solver_data(exact), family=arm.solver_name)
+        # The compiled solver's arguments: pose, within limits, no seed, no limit on their number, and single turns.
+        options = (1, False, np.zeros(0), "wrap_linf", False, 0.0, -1, True, 15, False)
+        solver = functools.partial(_compiled_branches, _ssik_native.Solver(data), options, arm.dof)
+        solver(arm.fk(np.zeros(arm.dof)))
+    except (ImportError, AttributeError, TypeError):  # no compiled solver, or another version's
+        return lambda pose: _as_rows([each.q for each in arm.solve(pose, enumerate_windings=False)], arm.dof)
+    return solver
+
+
+def _compiled_branches(solver: Any, options: tuple[Any, ...], dof: int, pose: Array) -> Array:
+    return _as_rows(solver.solve(pose, *options)[0], dof)
+
+
+def _as_rows(q: Any, dof: int) -> Array:
+    return np.array(q, dtype=float).reshape(-1, dof)
 
 
 @functools.cache
