@@ -23,13 +23,14 @@ from typing import Annotated
 import numpy as np
 import typer
 from printing import show, versioned_table
-from relapse import BRIDGE, REACH, stepped
 
 import armctl
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import Store
 from armctl.episodes.stored import STORE, UNDISTURBED, read_identities, read_store
 from armctl.report import write_report
+
+REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
 
 WORLDS = (64, 256, 1024, 4096)
 ROUNDS = 3
@@ -75,6 +76,8 @@ def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: 
 @app.command(hidden=True)
 def step(env: str, n: int, steps: int) -> None:
     """Print processor time and memory of a world, in this process."""
+    from relapse import stepped  # with libraries that no other command loads: they would count in its memory
+
     stepped(env, 1)[0](0)  # loads and compiles
     memory_before = _resident()
     ours, raw = stepped(env, n)

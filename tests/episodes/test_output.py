@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from armctl.core.errors import ConfigurationError
-from armctl.episodes import output
+from armctl.episodes import table as tables
 from armctl.episodes.output import write_csv, write_parquet
 from armctl.episodes.table import EpisodeTable
 
@@ -33,7 +33,7 @@ def test_a_csv_file_has_a_row_for_each_episode(tmp_path, results):
 
 
 def test_a_parquet_file_has_types(tmp_path, results, monkeypatch):
-    monkeypatch.setattr(output, "AT_ONCE", 7)
+    monkeypatch.setattr(tables, "AT_ONCE", 7)
     (path,) = write_parquet(tmp_path, results)
     frame = pd.read_parquet(path)
     assert frame.columns.tolist() == [*results.frame().columns, "decision_ms"]

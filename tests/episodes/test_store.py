@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl.core.errors import ResultsError
+from armctl.episodes import columns
 from armctl.episodes import rows as rows_module
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import EpisodeResult
@@ -52,9 +53,10 @@ def results(draw):
 
 @pytest.mark.slow
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)))
-def test_it_holds_what_was_written(found, tmp_path, monkeypatch):
+@given(found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)), in_file=st.booleans())
+def test_it_holds_what_was_written(found, in_file, tmp_path, monkeypatch):
     monkeypatch.setattr(rows_module, "ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(columns, "LARGE", 0 if in_file else columns.LARGE)
     write(tmp_path, found)
     same(read_cell(tmp_path).episodes, found)
 

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from armctl.episodes import rows
-from armctl.episodes.table import EpisodeTable, Ragged
+from armctl.episodes import columns, rows
+from armctl.episodes.columns import Ragged, TimeCounts, milliseconds
+from armctl.episodes.table import EpisodeTable
 from armctl.stats import intervals as statistics
 from armctl.stats.intervals import MAX_VALUES, RandomWeights, bounded_mean, grouped, random_weights, worst_decile
 from armctl.verdict.summary import summarise
@@ -53,15 +54,17 @@ def test_columns_are_those_of_the_results(results):
     table, part = EpisodeTable(results), EpisodeTable(results)[6:]
     assert table.column("episode").tolist() == [one.episode for one in results]
     assert part.column("contacts").tolist() == [one.metrics.contacts for one in results[6:]]
-    np.testing.assert_array_equal(part.warm_ms(), np.concatenate([one.warm_ms for one in results[6:]]))
+    warm = np.concatenate([one.warm_ms for one in results[6:]])
+    assert part.warm_times().quantiles((0.1, 0.99)) == np.quantile(warm, (0.1, 0.99)).tolist()
+    assert len(part.warm_times()) == len(warm)
     np.testing.assert_array_equal(part.optimality_gap, [one.optimality_gap for one in results[6:]])
     seconds = [float(np.nansum(one.decision_ms)) / 1e3 for one in results]
     np.testing.assert_allclose(table.decision_seconds(), seconds, rtol=1e-12)
     earned = part.reward_sums()
     for term in ("step", "goal"):
         assert sorted(earned[term]) == sorted(one.reward_terms[term] for one in results[6:] if term in one.reward_terms)
-    changed = part.with_column("missed_deadlines", [None] * len(part))
-    assert set(changed.column("missed_deadlines")) == {None}
+    changed = part.without("missed_deadlines", np.arange(len(part)) > 0)
+    assert changed.column("missed_deadlines").tolist() == [results[6].metrics.missed_deadlines] + [None] * 17
     assert part.column("missed_deadlines").tolist() == [one.metrics.missed_deadlines for one in results[6:]]
 
 
@@ -72,6 +75,22 @@ def test_lists_of_numbers_are_taken_in_any_order():
     assert taken.lengths.tolist() == [1, 2, 0, 1]
 
 
+@pytest.mark.parametrize("kind", ["u2", "i4", "f8"])
+def test_counted_times_have_the_quantiles_of_all_of_them(kind):
+    rng = np.random.default_rng(0)
+    for count in (0, 1, 2, 999):
+        ms = np.where(rng.random(count) < 0.3, 1.0 if kind == "u2" else 200.0, 0.0) + rng.random(count).round(4)
+        times = ms.round(4) if kind == "f8" else np.rint(1e4 * ms).astype(kind)
+        counts, shares = TimeCounts(), (0.0, 0.01, 0.5, 0.99, 1.0)
+        for part in np.array_split(times, 3):
+            counts.add(part)
+        ms = milliseconds(times) if count else np.array([math.nan])
+        assert len(counts) == count
+        np.testing.assert_array_equal(counts.quantiles(shares), np.quantile(ms, shares))
+        np.testing.assert_array_equal(counts.quantiles(shares, 0.4), np.quantile(np.maximum(ms, 0.4), shares))
+        np.testing.assert_array_equal(counts.median, np.median(ms))
+
+
 def test_each_column_is_allocated_once(tmp_path, monkeypatch):
     """Not for every few rows: reading would take longer with the square of the episodes."""
     monkeypatch.setattr(rows, "ROWS_AT_ONCE", 10)
@@ -79,8 +98,10 @@ def test_each_column_is_allocated_once(tmp_path, monkeypatch):
         for result in played(500):
             log.write(result)
     sizes = []
-    allocate = np.empty
-    monkeypatch.setattr(np, "empty", lambda shape, *kind: sizes.append(shape) or allocate(shape, *kind))
+    allocate = columns.Pages.array
+    monkeypatch.setattr(
+        columns.Pages, "array", lambda self, size, kind: sizes.append(size) or allocate(self, size, kind)
+    )
     assert len(read_cell(tmp_path).episodes) == 500
     assert 0 < sizes.count(500) <= len(rows.COLUMNS)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from armctl.core.errors import missing_extra
 from armctl.core.files import write_atomically
-from armctl.episodes.record import COLUMNS, EpisodeResult
-from armctl.episodes.table import AT_ONCE, TYPES, EpisodeTable, field_of
+from armctl.episodes.record import COLUMNS
+from armctl.episodes.table import TYPES, EpisodeTable, field_of
 
 EPISODES, DECISIONS, EPISODES_PARQUET = "episodes.csv", "decisions.csv", "episodes.parquet"
 CELL = "cell"
@@ -31,15 +31,17 @@ def write_csv(folder: Path, results: Cells) -> list[Path]:
     """
     cells, selection = _named(results)
 
-    def written(path: Path, columns: Sequence[str], values: Callable[[EpisodeResult], Iterable[Any]]) -> Path:
-        rows = ((name, *values(result))[selection] for name, table in cells.items() for result in table)
-        return _written(path, (CELL, *columns)[selection], rows)
+    def written(path: Path, names: Sequence[str], columns: Callable[[EpisodeTable], Iterable[Sequence[Any]]]) -> Path:
+        parts = ((name, part) for name, table in cells.items() for part in table.parts())
+        rows = (zip(*([[name] * len(part), *columns(part)][selection]), strict=True) for name, part in parts)
+        return _written(path, (CELL, *names)[selection], itertools.chain.from_iterable(rows))
 
-    def times(result: EpisodeResult) -> tuple[Any, ...]:
-        return result.policy, result.episode, " ".join(map(str, result.decision_ms.tolist()))
+    def times(part: EpisodeTable) -> list[list[Any]]:
+        texts = [" ".join(map(str, spent)) for spent in part.decision_ms().tolist()]
+        return [part.column("policy").tolist(), part.column("episode").tolist(), texts]
 
     return [
-        written(folder / EPISODES, COLUMNS, lambda result: result.row().values()),
+        written(folder / EPISODES, COLUMNS, lambda part: part.csv_columns().values()),
         written(folder / DECISIONS, DECISION_COLUMNS, times),
     ]
 
@@ -57,8 +59,7 @@ def write_parquet(folder: Path, results: Cells) -> list[Path]:
     def write(unfinished: Path) -> None:
         with pq.ParquetWriter(unfinished, pa.schema(fields), compression="zstd") as writer:
             for name, table in cells.items():
-                for first in range(0, len(table), AT_ONCE):
-                    part = table[first : first + AT_ONCE]
+                for part in table.parts():
                     names = pa.array([name] * len(part), pa.string())
                     arrays = [names, *_arrays(part, schema)][selection]
                     writer.write_table(pa.table(arrays, schema=pa.schema(fields)))

@@ -30,7 +30,7 @@ from armctl.episodes.database import (
     reason,
 )
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.rows import COLUMNS, Sizes, row_of, sizes_of
+from armctl.episodes.rows import COLUMNS, row_of, selected_rows, sizes_of
 from armctl.episodes.stored import (
     KEYS,
     STORE,
@@ -38,8 +38,8 @@ from armctl.episodes.stored import (
     checksum_of,
     episodes_of,
     judged_runs,
+    rows_in,
     runs_of,
-    select,
     sizes_in,
     table_from,
     texts_in,
@@ -242,9 +242,8 @@ class CellWriter:
         if not self._grown:
             return self.kept
         file = self._store.file
-        rows = itertools.chain(file.execute(select(file), (self._number,)), self._unwritten)
-        stored, unwritten = sizes_in(file, self._number), sizes_of(self._unwritten)
-        sizes = Sizes(*map(sum, zip(stored, unwritten, strict=True)))
+        sizes = sizes_in(file, self._number).joined(sizes_of(self._unwritten))
+        rows = itertools.chain(rows_in(file, self._number, sizes), selected_rows(self._unwritten, sizes))
         return table_from(rows, sizes, [*self._store.texts], self.identity)
 
     def finish(self, facts: Mapping[str, Any], runs: Iterable[Run], without: Iterable[str] = ()) -> list[Run]:

@@ -16,7 +16,7 @@ from armctl.core.errors import ResultsError
 from armctl.core.files import digest, unsealed
 from armctl.core.registration import bare_id
 from armctl.episodes.database import FORMAT, check_file, connected, damage, files, format_of
-from armctl.episodes.rows import COLUMNS, SINCE_FORMAT_2, Sizes, table_of_rows
+from armctl.episodes.rows import NULLABLE, PLACEHOLDERS, SINCE_FORMAT_2, Sizes, table_of_rows
 from armctl.episodes.table import EpisodeTable
 from armctl.runtime.provenance import Run
 
@@ -145,25 +145,35 @@ def texts_in(file: sqlite3.Connection) -> list[str]:
 
 def episodes_of(file: sqlite3.Connection, cell: int, identity: Mapping[str, Any], texts: Sequence[str]) -> EpisodeTable:
     """Return the episodes of a cell in a file that may come from a stranger. Raises `ValueError`."""
-    policies = KEYS.validate_python(identity).policies
-    table = table_from(file.execute(select(file), (cell,)), sizes_in(file, cell), texts, identity, policies)
+    policies, sizes = KEYS.validate_python(identity).policies, sizes_in(file, cell)
+    table = table_from(rows_in(file, cell, sizes), sizes, texts, identity, policies)
     if any(len(np.unique(part.column("episode"))) < len(part) for part in table.by_policy().values()):
         raise ValueError("it has an episode for the second time")
     return table
 
 
-def select(file: sqlite3.Connection) -> str:
-    """Return the query for the rows of a cell: in the order of the file if that holds no others, else by the index."""
-    is_single = file.execute("SELECT count(*) FROM cell").fetchone()[0] == 1
-    missing = () if format_of(file) == FORMAT else SINCE_FORMAT_2
-    columns = (f"NULL AS {name}" if name in missing else name for name in COLUMNS)
-    return f"SELECT {', '.join(columns)} FROM episode {'NOT INDEXED' if is_single else ''} WHERE cell = ?"
+def rows_in(file: sqlite3.Connection, cell: int, sizes: Sizes) -> sqlite3.Cursor:
+    """Return the rows of a cell, of these sizes or smaller than they, with the columns that are selected for them."""
+    query = f"SELECT {', '.join(sizes.selected.values())} {_from_cell(file)}"
+    return file.execute(query, {"cell": cell, **PLACEHOLDERS})
 
 
 def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
     """Return the sizes of the episodes of a cell as a table."""
-    count = "count(*), coalesce(sum(length(reward_terms)), 0) / 8, coalesce(sum(length(decision_ms)), 0) / 2"
-    return Sizes(*file.execute(f"SELECT {count} FROM episode WHERE cell = ?", (cell,)).fetchone())
+    missing = () if format_of(file) == FORMAT else SINCE_FORMAT_2
+    counts = ", ".join("0" if name in missing else f"count({name})" for name in NULLABLE)
+    lists = (
+        "coalesce(sum(length(reward_terms)) / 8, 0), coalesce(sum(min(length, length(decision_ms) / 2)), 0), "
+        "coalesce(max(length(decision_ms) / max(length, 1)), 0)"
+    )
+    numbers = file.execute(f"SELECT count(*), {lists}, {counts} {_from_cell(file)}", {"cell": cell}).fetchone()
+    return Sizes(*numbers[:4], numbers[4:])
+
+
+def _from_cell(file: sqlite3.Connection) -> str:
+    """Return the end of a query for a cell: in the order of the file if that holds no others, else by the index."""
+    is_single = file.execute("SELECT count(*) FROM cell").fetchone()[0] == 1
+    return f"FROM episode {'NOT INDEXED' if is_single else ''} WHERE cell = :cell"
 
 
 def table_from(

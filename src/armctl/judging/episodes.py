@@ -6,10 +6,10 @@ from types import NoneType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armctl.core.registration import bare_id
-from armctl.episodes.table import TYPES, EpisodeTable, Ragged, column
+from armctl.episodes.columns import Column, Ragged
+from armctl.episodes.table import TYPES, EpisodeTable, column
 from armctl.judging.trials import Trial
 
 UNPLAYED: Mapping[type, Any] = {str: "", float: math.nan, int: 0, bool: True}
@@ -33,7 +33,7 @@ def table_of(env: str, members: Mapping[str, Sequence[Trial]], unknown: Sequence
         "worlds": [1] * n,
         "workers": [1] * n,
     }
-    columns: dict[str, NDArray[Any]] = {}
+    columns: dict[str, Column] = {}
     for name, kinds in TYPES.items():
         (kind,) = kinds - {NoneType}
         columns[name] = column(name, known.get(name, [None if NoneType in kinds else UNPLAYED[kind]] * n))

@@ -31,6 +31,7 @@ from armctl.report.style import (
 from armctl.rollout.decision_times import Machines, comparable_times
 from armctl.stats.difference import Difference
 from armctl.verdict.summary import PolicySummary
+from armctl.verdict.trade_off import SHORTEST_MS
 
 
 def success_bars(policies: Sequence[PolicySummary], styles: Styles) -> go.Figure:
@@ -178,10 +179,9 @@ def decision_times(
     """Decision times: median, middle half, 1st to 99th percentile and maximum, on a logarithmic axis."""
     figure = go.Figure()
     for name, results in episodes.items():
-        times = comparable_times(results, machines).warm_ms()
-        np.maximum(times, 1e-4, out=times)
+        times = comparable_times(results, machines).warm_times()
         shares = (0.01, 0.25, 0.5, 0.75, 0.99, 1.0)
-        q1, p25, p50, p75, p99, longest = np.quantile(times, shares, overwrite_input=True).tolist()
+        q1, p25, p50, p75, p99, longest = times.quantiles(shares, at_least=SHORTEST_MS)
         style, label = styles[name], escaped(styles[name].label)
         for ends, width, opacity in (((q1, longest), 2, 0.5), ((q1, p99), 6, 0.55), ((p25, p75), 14, 1.0)):
             figure.add_scatter(

@@ -91,13 +91,18 @@ class Machines:
     def of(cls, runs: Iterable[Run], results: EpisodeTable) -> "Machines":
         """Return the machines of these results, by their runs. Machines of one processor and as many cores are one."""
         by_run = {run.id: f"{run.processor}, {run.cores} cores" for run in runs}
-        counts = Counter(by_run.get(run, "") for run in results.column("run").tolist())
+        counts = Counter[str]()
+        for (run,), count in results.counts("run").items():
+            counts[by_run.get(run, "")] += count
         return cls(by_run, counts.most_common(1)[0][0] if counts else "")
 
-    def settings(self, results: EpisodeTable) -> list[tuple[int, int, str]]:
-        """Return worlds, workers and machine of each episode; an empty machine if it is unknown."""
-        columns = (results.column(name).tolist() for name in ("worlds", "workers", "run"))
-        return [(num_envs, workers, self.by_run.get(run, "")) for num_envs, workers, run in zip(*columns, strict=True)]
+    def settings(self, results: EpisodeTable) -> tuple[list[tuple[int, int, str]], NDArray[np.intp]]:
+        """Return settings, and which each episode has: worlds, workers and machine, empty if it is unknown.
+
+        Several runs on one machine have the same setting.
+        """
+        values, codes = results.different("worlds", "workers", "run")
+        return [(num_envs, workers, self.by_run.get(run, "")) for num_envs, workers, run in values], codes
 
 
 def comparable_times(results: EpisodeTable, machines: Machines = Machines({})) -> EpisodeTable:
@@ -105,10 +110,12 @@ def comparable_times(results: EpisodeTable, machines: Machines = Machines({})) -
 
     They are latencies if there are any, of the machine with the most episodes if there are any, or else the most.
     """
-    settings = machines.settings(results)
-    counts = Counter(settings)
+    settings, codes = machines.settings(results)
+    counts = Counter[tuple[int, int, str]]()
+    for setting, count in zip(settings, np.bincount(codes).tolist(), strict=True):
+        counts[setting] += count
     best = max(counts, key=lambda setting: (setting[:2] == (1, 1), setting[2] == machines.busiest, counts[setting]))
-    return results[np.array([setting == best for setting in settings])]
+    return results[np.array([setting == best for setting in settings])[codes]]
 
 
 def setting_in_words(num_envs: int, workers: int) -> str:
@@ -122,13 +129,13 @@ def setting_in_words(num_envs: int, workers: int) -> str:
 def without_deadline_verdicts(results: EpisodeTable, runs: Iterable[Run]) -> EpisodeTable:
     """Return the results, without missed deadlines where other processes kept the machine busy."""
     busy = {run.id for run in runs if run.busy}
-    deadlines = zip(results.column("run").tolist(), results.column("missed_deadlines").tolist(), strict=True)
-    return results.with_column("missed_deadlines", (None if run in busy else missed for run, missed in deadlines))
+    values, codes = results.different("run")
+    return results.without("missed_deadlines", np.array([run in busy for (run,) in values])[codes])
 
 
 def load_notes(results: EpisodeTable, runs: Iterable[Run]) -> list[str]:
     """Return a remark if decision times are not held against deadlines because the machine was busy."""
-    counts = Counter(zip(*(results.column(name).tolist() for name in ("run", "worlds", "workers")), strict=True))
+    counts = results.counts("run", "worlds", "workers")
     latencies = {run for run, *setting in counts if setting == [1, 1]}
     busy = {run.id for run in runs if run.busy and run.id in latencies}
     if not busy:
@@ -146,8 +153,8 @@ def timing_notes(timed: Iterable[tuple[str, EpisodeTable]], machines: Machines =
     kinds, notes = {}, []
     for policy, table in timed:
         comparable = comparable_times(table, machines)
-        settings = set(machines.settings(table))
-        (setting,) = set(machines.settings(comparable))
+        settings = set(machines.settings(table)[0])
+        (setting,) = set(machines.settings(comparable)[0])
         kinds[policy] = setting_in_words(*setting[:2]), setting[2]
         if len(comparable) < len(table):
             others = ["with other --worlds or --workers"] if any(other[:2] != setting[:2] for other in settings) else []

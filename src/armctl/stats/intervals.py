@@ -128,8 +128,9 @@ def worst_decile(values: Array, bounds: Bounds | None) -> Estimate | None:
     """
 
     def statistic(ordered: Array, weights: Array) -> Array:
-        reached = np.minimum(np.cumsum(weights, axis=1), 0.1)
-        return np.asarray(np.diff(reached, axis=1, prepend=0.0) @ ordered / 0.1)
+        reached = np.minimum(np.cumsum(weights, axis=1, out=weights), 0.1, out=weights)
+        reached[:, 1:] -= reached[:, :-1]
+        return np.asarray(reached @ ordered / 0.1)
 
     if bounds is None:
         equal = np.full((1, len(values)), 1 / max(len(values), 1))
@@ -192,7 +193,10 @@ def weighted_sum(parts: Sequence[RandomWeights], coefficients: Sequence[float]) 
 def _random_weights(
     values: Array, bounds: Bounds, statistic: Callable[[Array, Array], Array], rng: np.random.Generator
 ) -> RandomWeights:
-    """Draw a `statistic` of ordered values (m,) and weights (r, m), whose rows add up to 1; it returns (r,)."""
+    """Draw a `statistic` of ordered values (m,) and weights (r, m), whose rows add up to 1; it returns (r,).
+
+    It may write over the weights.
+    """
     ordered, counts = grouped(*np.unique(values, return_counts=True))
     lowest, highest = min(bounds[0], values.min()), max(bounds[1], values.max())
     draws = [
@@ -230,7 +234,8 @@ def random_weights(counts: NDArray[np.intp], rng: np.random.Generator) -> Iterat
         weights = rng.standard_gamma(counts, size=(min(rows, DRAWS - first), len(counts)))
         at_bound = rng.standard_exponential((len(weights), 1))
         total = weights.sum(axis=1, keepdims=True) + at_bound
-        yield weights / total, at_bound / total
+        weights /= total
+        yield weights, at_bound / total
 
 
 def median(values: Array) -> Estimate | None:

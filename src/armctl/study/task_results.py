@@ -105,16 +105,15 @@ class Sweep(Displayed):
         undisturbed = self.undisturbed
         if undisturbed is None:
             return pd.DataFrame(columns=list(COLUMNS))
-        undisturbed_rows, rows = undisturbed.counted_rows, []
+        rows = []
         for name, levels in self.levels.items():
             for level in levels:
                 first = level == levels[0]
                 comparison = undisturbed if first else self.comparisons.get(setting_name(name, level))
                 if comparison is None:
                     continue
-                disturbed_rows = undisturbed_rows if first else comparison.counted_rows
                 for policy in comparison.policies:
-                    change = (1.0, 0.0) if first else self._change(undisturbed_rows, disturbed_rows, policy)
+                    change = (1.0, 0.0) if first else self._change(undisturbed, comparison, policy)
                     values = (name, level, *_point(policy, change, self.units[name]))
                     rows.append(dict(zip(COLUMNS, values, strict=True)))
         return pd.DataFrame(rows, columns=list(COLUMNS))
@@ -125,16 +124,15 @@ class Sweep(Displayed):
         undisturbed = self.undisturbed
         if undisturbed is None or not self.grids:
             return []
-        undisturbed_rows, rows = undisturbed.counted_rows, []
+        rows = []
         for grid in self.grids:
             for row, column in itertools.product(grid.row_levels, grid.column_levels):
                 setting = grid.setting(row, column)
                 if (comparison := self.comparisons.get(setting)) is None:
                     continue
-                disturbed_rows = comparison.counted_rows
                 for policy in comparison.policies:
                     is_first = setting == UNDISTURBED
-                    change = (1.0, 0.0) if is_first else self._change(undisturbed_rows, disturbed_rows, policy)
+                    change = (1.0, 0.0) if is_first else self._change(undisturbed, comparison, policy)
                     unit = f"{self.units[grid.rows]}; {self.units[grid.columns]}"
                     values = (grid.rows, row, grid.columns, column, *_point(policy, change, unit))
                     rows.append(dict(zip(PAIR_COLUMNS, values, strict=True)))
@@ -180,14 +178,13 @@ class Sweep(Displayed):
             return []
         return sorted({episodes for comparison in self.comparisons.values() for episodes in comparison.looks})
 
-    def _change(
-        self, undisturbed_rows: "pd.DataFrame", disturbed_rows: "pd.DataFrame", policy: PolicySummary
-    ) -> tuple[float, float]:
+    def _change(self, undisturbed: Comparison, disturbed: Comparison, policy: PolicySummary) -> tuple[float, float]:
         """Return the p-value for no change, and the change: see `COLUMNS`."""
         if policy.spared:
             return math.nan, math.nan
         names = policy.trainings or [policy.policy]
-        first, second = (rows[rows.policy.isin(names)] for rows in (undisturbed_rows, disturbed_rows))
+        tables = (undisturbed.counted_rows, disturbed.counted_rows)
+        first, second = (rows[rows.policy.isin(names)] for rows in tables)
         score = "return" if policy.success is None else "success"
         return change_between(first, second, score, self.paired, self.any_number)
 

@@ -46,11 +46,9 @@ class DecisionTimes:
 
 def decision_times(timed: EpisodeTable, construction_ms: float | None, by_episode: bool) -> DecisionTimes:
     """Return the decision times of a policy; of those that are known `by_episode`, not by decision, the median."""
-    decisions = timed.warm_ms()
-    if not len(decisions):
-        decisions = np.array([math.nan])
+    decisions = timed.warm_times()
     if by_episode:
-        p50 = float(np.median(decisions))
+        p50 = decisions.median
         return DecisionTimes(
             decision_ms_p50=p50,
             decision_ms_p99=math.nan,
@@ -59,20 +57,21 @@ def decision_times(timed: EpisodeTable, construction_ms: float | None, by_episod
             control_step_ms=p50,
         )
     resets, first_calls = _finite(timed.column("reset_ms")), _finite(timed.column("first_call_ms"))
-    first_decisions, longest = timed.first_decision_ms(), float(decisions.max())
-    warm = timed[timed.is_warm]
-    per_step = 1e3 * warm.decision_seconds() / warm.column("length")
-    p50, p99 = np.quantile(decisions, (0.5, 0.99), overwrite_input=True).tolist()
-    missed = timed.column("missed_deadlines").tolist()
+    first_decisions, seconds, is_warm = timed.first_decision_ms(), timed.decision_seconds(), timed.is_warm
+    per_step = 1e3 * seconds[is_warm] / timed.column("length")[is_warm]
+    p50, p99, longest = decisions.quantiles((0.5, 0.99, 1.0))
+    missed = timed.counts("missed_deadlines")
     return DecisionTimes(
         decision_ms_p50=p50,
         decision_ms_p99=p99,
         decision_ms_max=longest,
-        missed_deadlines=None if None in missed else sum(missed) / len(decisions),
+        missed_deadlines=None
+        if (None,) in missed
+        else sum(late * count for (late,), count in missed.items()) / max(len(decisions), 1),
         first_call_ms=float(first_calls.max()) if len(first_calls) else None,
         worlds=timed[0].worlds,
         workers=timed[0].workers,
-        decision_seconds=Estimate(float(timed.decision_seconds().mean()), None, None),
+        decision_seconds=Estimate(float(seconds.mean()), None, None),
         reset_ms=float(np.median(resets)) if len(resets) else None,
         first_decision_ms=float(np.median(first_decisions)) if len(first_decisions) else None,
         control_step_ms=float(np.median(per_step)) if len(per_step) else p50,

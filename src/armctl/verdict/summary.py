@@ -191,8 +191,8 @@ def summarise(
     comparison could stop early, or an earlier run told a verdict.
     """
     counted, infeasible = counted_results(results, facts.first_episode)
-    success = results.column("success")[results.column("outcome") != ERROR].tolist()
-    scored = any(value is not None for value in success or results.column("success").tolist())
+    finished = results[results.column("outcome") != ERROR]
+    scored = any(value is not None for (value,) in (finished if len(finished) else results).counts("success"))
     runs = list(runs)
     limits, machines = Limits(facts.return_bounds, facts.time_limit), Machines.of(runs, results)
     trained = by_learner(counted, facts.policies, facts.groups)
@@ -211,7 +211,9 @@ def summarise(
             planned=facts.planned,
             episodes=len(together),
             infeasible=infeasible,
-            outcomes=dict(Counter(together.column("outcome").tolist()).most_common()),
+            outcomes=dict(
+                Counter({name: count for (name,), count in together.counts("outcome").items()}).most_common()
+            ),
             spared=members[0].spared,
             family=members[0].family or name,
             foresight=members[0].foresight,
@@ -267,7 +269,7 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits, unknown: C
     changed = results.column("intervention_share") * results.column("length")
     sizes = results.column("intervention_size")[changed > 0] * changed[changed > 0]
     steps = (1.0, float(limits.steps)) if limits.steps else None
-    has_contacts = None not in results.column("contacts").tolist()
+    has_contacts = (None,) not in results.counts("contacts")
     efficiency, has_steps = scores("efficiency"), "steps" not in unknown
     return Performance(
         success=success_rate(scores("success") == 1) if scored else None,
@@ -276,7 +278,7 @@ def _performance(results: EpisodeTable, scored: bool, limits: Limits, unknown: C
         optimality_gap=median(_finite(results.optimality_gap)),
         tracking_error=_mean(_finite(results.column("tracking_error"))),
         metrics={name: _mean_metric(name, won if scored else results, limits.steps) for name in METRICS},
-        solver_failures=sum(results.column("solver_failures").tolist()),
+        solver_failures=sum(failures * count for (failures,), count in results.counts("solver_failures").items()),
         intervention_share=_ratio(np.nansum(changed), results.column("length")[~np.isnan(changed)].sum()),
         intervention_size=_ratio(sizes.sum(), changed[changed > 0].sum()),
         length=_mean(scores("length"), steps) if has_steps else None,
