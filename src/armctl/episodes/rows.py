@@ -94,23 +94,23 @@ class Sizes(NamedTuple):
     decisions: int = 0
     width: int = 0
     """Bytes of a decision time, in the episode in which it has most."""
-    known: tuple[int, ...] = (0,) * len(NULLABLE)
+    non_null: tuple[int, ...] = (0,) * len(NULLABLE)
     """Rows in which each of `NULLABLE` is not NULL."""
 
     def joined(self, other: "Sizes") -> "Sizes":
         """Return the sizes of two tables together."""
         rows, rewards, decisions = (a + b for a, b in zip(self[:3], other[:3], strict=True))
-        known = tuple(a + b for a, b in zip(self.known, other.known, strict=True))
-        return Sizes(rows, rewards, decisions, max(self.width, other.width), known)
+        non_null = tuple(a + b for a, b in zip(self.non_null, other.non_null, strict=True))
+        return Sizes(rows, rewards, decisions, max(self.width, other.width), non_null)
 
     @property
     def selected(self) -> dict[str, str]:
         """Columns of the table `episode` that are not NULL throughout, with how a query asks for them."""
         terms = {name: name for name in COLUMNS}
-        for name, known in zip(NULLABLE, self.known, strict=True):
-            if not known:
+        for name, non_null in zip(NULLABLE, self.non_null, strict=True):
+            if not non_null:
                 del terms[name]
-            elif known < self.rows:
+            elif non_null < self.rows:
                 terms[name] = f"coalesce({name}, {':absent' if name in NUMBERS else ':unknown'})"
         return terms
 
@@ -124,8 +124,8 @@ def sizes_of(rows: Sequence[Sequence[Any]]) -> Sizes:
     sizes = Sizes()
     for values in (dict(zip(COLUMNS, row, strict=True)) for row in rows):
         rewards, times, length = len(values["reward_terms"]) // 8, len(values["decision_ms"]), values["length"]
-        known = tuple(int(values[name] is not None) for name in NULLABLE)
-        sizes = sizes.joined(Sizes(1, rewards, length, times // max(length, 1), known))
+        non_null = tuple(int(values[name] is not None) for name in NULLABLE)
+        sizes = sizes.joined(Sizes(1, rewards, length, times // max(length, 1), non_null))
     return sizes
 
 
@@ -236,8 +236,10 @@ class _Reader:
         """Return where values are among the different ones of their column, to which new ones are added."""
         different, codes = np.unique(values, return_inverse=True)
         kind, places = bool if bool in TYPES[name] else int, self._different[name]
-        known = [None if NoneType in TYPES[name] and value == _UNKNOWN else kind(value) for value in different.tolist()]
-        return np.array([places.setdefault(value, len(places)) for value in known])[codes]
+        uniques = [
+            None if NoneType in TYPES[name] and value == _UNKNOWN else kind(value) for value in different.tolist()
+        ]
+        return np.array([places.setdefault(value, len(places)) for value in uniques])[codes]
 
     def table(self, columns: dict[str, NDArray[Any]], env: str, seed: int, pages: Pages) -> EpisodeTable:
         """Return the table of all columns."""
@@ -249,12 +251,12 @@ class _Reader:
             raise ValueError("it has an episode with too few or too many reward terms")
         different = {name: array(name, [*places]) for name, places in self._different.items()}
         different |= dict.fromkeys(TEXTS, self._texts)
-        made = {name: Column(values, different.get(name)) for name, values in columns.items()}
+        fields = {name: Column(values, different.get(name)) for name, values in columns.items()}
         same = np.broadcast_to(np.int32(0), len(terms))
-        made |= {"env": Column(same, array("env", [env])), "seed": Column(same, array("seed", [seed]))}
+        fields |= {"env": Column(same, array("env", [env])), "seed": Column(same, array("seed", [seed]))}
         lists = Ragged.of(rewards, counts, pages), Ragged.of(times, columns["length"], pages)
         pages.release()
-        return EpisodeTable.of_columns(made, names, terms, *lists, pages)
+        return EpisodeTable.of_columns(fields, names, terms, *lists, pages)
 
 
 def _check_possible(columns: Mapping[str, NDArray[Any]], policies: Sequence[str]) -> None:

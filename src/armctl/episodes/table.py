@@ -214,9 +214,9 @@ class EpisodeTable(Sequence[EpisodeResult]):
         for part in self.parts():
             times, cold = self._times.take(part._rows), []
             for row in np.flatnonzero(~np.isnan(part.column("first_call_ms"))).tolist():
-                begun = np.flatnonzero(~is_unknown(times[row]))
-                if len(begun) > 1:
-                    cold.append(int(times.ends[row] + begun[0]))
+                starts = np.flatnonzero(~is_unknown(times[row]))
+                if len(starts) > 1:
+                    cold.append(int(times.ends[row] + starts[0]))
             counts.add(np.delete(times.values, np.array(cold, np.intp)))
         return counts
 

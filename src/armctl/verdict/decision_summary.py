@@ -67,7 +67,7 @@ def decision_times(timed: EpisodeTable, construction_ms: float | None, by_episod
         decision_ms_max=longest,
         missed_deadlines=None
         if (None,) in missed
-        else sum(late * count for (late,), count in missed.items()) / max(len(decisions), 1),
+        else sum(misses * count for (misses,), count in missed.items()) / max(len(decisions), 1),
         first_call_ms=float(first_calls.max()) if len(first_calls) else None,
         worlds=timed[0].worlds,
         workers=timed[0].workers,
