@@ -227,7 +227,7 @@ class _Reader:
     def _check_sums(self, batch: Sequence[Sequence[Any]], numbers: NDArray[np.int64]) -> None:
         since = numbers[:, -len(SINCE_FORMAT_2) :].view("<f8")
         widths = np.where(np.isnan(since).all(axis=1), _PACKED.size, _PACKED.size + _PACKED_SINCE.size)
-        data, starts = memoryview(numbers).cast("B"), np.arange(len(batch)) * 8 * len(_LAYOUT)
+        data, starts = numbers.data.cast("B"), np.arange(len(batch)) * 8 * len(_LAYOUT)
         for row, start, end in zip(batch, starts.tolist(), (starts + widths).tolist(), strict=True):
             if crc32(row[-2], crc32(row[-3], crc32(data[start:end], self._cell_checksum))) != row[-1]:
                 raise ValueError("an episode was changed, or belongs to another comparison")

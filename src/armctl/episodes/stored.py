@@ -166,8 +166,9 @@ def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
         "coalesce(sum(length(reward_terms)) / 8, 0), coalesce(sum(min(length, length(decision_ms) / 2)), 0), "
         "coalesce(max(length(decision_ms) / max(length, 1)), 0)"
     )
-    numbers = file.execute(f"SELECT count(*), {lists}, {counts} {_from_cell(file)}", {"cell": cell}).fetchone()
-    return Sizes(*numbers[:4], numbers[4:])
+    query = f"SELECT count(*), {lists}, {counts} {_from_cell(file)}"
+    rows, rewards, decisions, width, *non_null = file.execute(query, {"cell": cell}).fetchone()
+    return Sizes(rows, rewards, decisions, width, tuple(non_null))
 
 
 def _from_cell(file: sqlite3.Connection) -> str:
