@@ -47,7 +47,7 @@ from armctl.training.trials import CHECKPOINTS, CLOCK, newest_checkpoint
 
 LOG = logging.getLogger(__name__)
 
-VALIDATION_ENVS = 50
+VALIDATION_ENVS = 100
 SETTINGS_FORMAT = 1
 """Format of `settings.json`, and of the folder that holds it."""
 RECIPE_ON_CARD = (

@@ -180,7 +180,7 @@ def test_one_frame_is_no_memory(tmp_path, prepared):
     actor = ppo.actor_of(model, training)
     assert actor.memory == {}
     assert model.observation_space["ranges"].shape == (1, 8)  # buffers hold what is prepared
-    assert actor.act(training.held_out.reset(seed=0)[0]).shape == (50, 2)
+    assert actor.act(training.held_out.reset(seed=0)[0]).shape == (100, 2)
 
 
 @pytest.mark.parametrize(
