@@ -14,6 +14,8 @@ BIN := $(VENV)/bin
 # Python compiles what is imported, when it is; pip would compile all of 34,000 files, for half of an installation's time.
 INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --no-compile
 PIP := $(INSTALL) --quiet --constraint constraints.txt
+# The one of Python 3.11 reads all installed packages again for each of 300 that it has installed, for 20 s at the end.
+NEW_PIP := pip==26.1.2
 # Installs, and names each package as it is fetched; errors are on standard error, and the status is that of pip.
 NAMED = { $(INSTALL) --progress-bar off --constraint constraints.txt $(1); \
   echo $$? > $(VENV)/status; } | sed -u -n 's/^Collecting \([^ ]*\).*/  \1/p; s/^Installing collected.*/  unpacking: minutes/p'; \
@@ -108,6 +110,7 @@ $(VENV)/python:
 	  { echo "armctl needs Python 3.11 or newer as '$(PYTHON)'; name another one: make PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || \
 	  { rm -rf $(VENV); echo "'$(PYTHON) -m venv' failed; on Debian or Ubuntu: apt-get install python3-venv"; exit 1; }
+	@$(INSTALL) --quiet $(NEW_PIP) || { rm -rf $(VENV); echo "The installation of $(NEW_PIP) failed: see above."; exit 1; }
 	@touch $@
 
 $(VENV)/core: pyproject.toml constraints.txt | $(VENV)/python

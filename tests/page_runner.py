@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+LEARNING = ("stable_baselines3", "onnxscript", "torch._dynamo", "torch.onnx._internal.exporter._core")
+"""What trainings and exports of agents import: 4 s of processor time for each, if it is not shared."""
 SECONDS = 600
 """That a page's examples may take."""
 

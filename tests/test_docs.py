@@ -27,7 +27,7 @@ from armctl.core.registration import environment_names
 from armctl.policies import policy_names
 from armctl.training.learners import learner_names, load_recipe, recipe_names
 
-from .page_runner import SECONDS, page_runner
+from .page_runner import LEARNING, SECONDS, page_runner
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -96,7 +96,7 @@ def test_every_block_says_what_it_is(page):
 
 @pytest.fixture(scope="module")
 def run():
-    with page_runner("-W", "error::DeprecationWarning") as runner:
+    with page_runner("-W", "error::DeprecationWarning", imports=LEARNING, OMP_NUM_THREADS="1") as runner:
         yield runner
 
 

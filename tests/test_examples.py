@@ -12,7 +12,7 @@ import armctl
 from armctl.core.seeds import TRAINING_SEEDS
 
 from . import command_line
-from .page_runner import page_runner
+from .page_runner import LEARNING, page_runner
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
@@ -44,7 +44,7 @@ ZOO = {
 def run():
     """Run examples, each in a fork of a process that has imported what most of them import."""
     quick_to_compile = "--xla_backend_optimization_level=0"  # what JAX runs a few times only
-    imports = ("torch", "stable_baselines3", "armctl.integrations.sb3", "armctl.shaping")
+    imports = (*LEARNING, "armctl.integrations.sb3", "armctl.shaping")
     with page_runner(imports=imports, OMP_NUM_THREADS="1", XLA_FLAGS=quick_to_compile) as runner:
         yield runner
 
