@@ -83,14 +83,13 @@ def apart(run, *given):
     try:
         run(*given)
     except SystemExit as ended:
-        status = ended.code or 0
-        if isinstance(status, str):
-            print(status, file=sys.stderr)
-            status = 1
+        if isinstance(ended.code, str):
+            print(ended.code, file=sys.stderr)
+        status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except BaseException:
         sys.excepthook(*sys.exc_info())
         status = 1
-    threading._shutdown()
+    threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
