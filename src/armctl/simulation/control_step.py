@@ -37,7 +37,7 @@ from armctl.simulation.history import state_column
 
 _BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 """MuJoCo's warnings of bad positions, velocities and accelerations."""
-_clock = ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco_library.PATH), "mjcb_time")
+CLOCK = ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco_library.PATH), "mjcb_time")
 """MuJoCo's clock, for its statistics (`MjData.timer`). Its Python package sets one, and each stage of a step reads it
 twice, which takes a tenth of a step: worlds here are stepped without."""
 _NONE = np.zeros(0, dtype=np.intp)
@@ -78,12 +78,12 @@ class Stepper:
         """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
         self._worlds.refined[:] = 0
         arguments = self._bound_to(ticks, substeps, parts)[: max(1, len(ids))]
-        clock, _clock.value = _clock.value, None
+        clock, CLOCK.value = CLOCK.value, None
         try:
             self._run(ids, *arguments)
         finally:
             if clock:
-                _clock.value = clock
+                CLOCK.value = clock
 
     def _run(self, ids: NDArray[np.int32], first: Bound, *others: Bound) -> None:
         run: Callable[..., None] = kernel.control_steps
