@@ -103,7 +103,7 @@ def test_the_version_is_shown(tmp_path):
             "bridge_moving_",
             [f"bridge_moving_{kind}" for kind in ("distil", "ppo", "robust_distil", "state_ppo")],
         ),
-        (completion.recipes, "reach_p", ["reach_ppo"]),
+        (completion.recipes, "reach_p", ["reach_ppo", "reach_ppo_fast"]),
         (completion.disturbances, "d", ["delay", "dropout"]),
     ],
 )
