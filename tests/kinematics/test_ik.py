@@ -1,5 +1,4 @@
 import time
-from typing import Any
 
 import numpy as np
 import pinocchio
@@ -117,8 +116,7 @@ def test_numeric_solver_solves_poses_from_anywhere(make, count):
 def test_arms_with_seven_joints_have_all_solutions_of_ssik(robot):
     model = ArmModel(robot)
     ik, arm, missing = Ik(model), closed_forms._ssik(closed_forms.PREBUILT[model.description.name]), []
-    branches: Any = closed_forms._branches(arm)
-    assert branches.func is closed_forms._compiled_branches
+    assert getattr(closed_forms._branches(arm), "func", None) is closed_forms._compiled_branches
     from_tip = np.linalg.inv(model.pose(model.home)) @ arm.fk(model.home)
     for q in model.random_configurations(np.random.default_rng(0), 60):
         target = model.pose(q)

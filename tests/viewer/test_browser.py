@@ -78,7 +78,7 @@ def test_pause_step_again_and_next():
 def test_whoever_looks_back_sees_what_was_and_goes_on_from_where_it_was():
     viewer = Viewer("random")
     pause, go_on = (messages.RequestPauseEvent(sim.PauseState(paused)) for paused in (True, False))
-    viewer.wish(*(messages.SingleStepEvent() for _ in range(6)))
+    viewer.wish(*(messages.SingleStepEvent() for _ in range(6)), seconds=0.5)
     last, drawn = viewer.frame, viewer.handle.data.qpos.copy()
     assert (last.status.steps, last.last_step, last.paused) == (6, 6, True)
     assert viewer.wish(Seek(2)).steps == 2

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from armctl.agents import load_agent
@@ -13,8 +14,7 @@ from tests.rl.small_trainings import small
 
 
 def network_of(observations, actions, **options):
-    features = FlattenExtractor(make_worlds("armctl/ArmReach-v0", 1).single_observation_space)
-    features._features_dim = observations.shape[1]
+    features = FlattenExtractor(spaces.Box(-1, 1, observations.shape[1:]))
     scale = ActionScale(*np.array((-2.0, 2.0))[:, None].repeat(actions.shape[2], axis=1))
     chosen = {"executed": 1, "width": 16, "blocks": 1, "style_weight": 0.1} | options
     return ChunkingTransformer(features, scale, observations, actions, **chosen)
@@ -25,7 +25,7 @@ def fitted(observations, actions, steps, **options):
     network = network_of(observations, actions, **options)
     optimizer = torch.optim.Adam(network.parameters(), 3e-3)
     for _ in range(steps):
-        rows = torch.randint(len(observations), (128,))
+        rows = torch.randint(len(observations), (64,))
         optimizer.zero_grad()
         network.loss(observations[rows], actions[rows]).backward()
         optimizer.step()
@@ -35,7 +35,7 @@ def fitted(observations, actions, steps, **options):
 def test_a_chunk_is_what_was_shown_action_by_action():
     observations = torch.linspace(-1, 1, 400)[:, None]
     actions = torch.stack([observations.sin(), observations, -observations], dim=1)
-    network = fitted(observations, actions, 350)
+    network = fitted(observations, actions, 250)
     with torch.no_grad():
         plans = network.plan(observations)
     assert (plans - actions).abs().mean() < 0.08
@@ -45,7 +45,7 @@ def test_where_teachers_go_left_or_right_the_style_tells_which():
     torch.manual_seed(1)
     sides = torch.where(torch.rand(2000, 1, 1) < 0.5, -1.0, 1.0)
     nothing = torch.zeros(2000, 1)
-    network = fitted(nothing, sides, 300, style_weight=0.01)
+    network = fitted(nothing, sides, 250, style_weight=0.01)
     with torch.no_grad():
         styles = 2 * torch.randn(200, 8)
         ends = network.mean + network.unit * network._decoded(network.features(nothing[:200]), styles)

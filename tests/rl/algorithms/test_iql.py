@@ -67,7 +67,7 @@ def test_it_does_what_was_good_among_what_was_done():
     rewards = (np.sign(observations[:, 0]) == np.sign(actions[:, 0])).astype(np.float32)
     over = np.zeros(3000, np.float32)
     drawn = Drawn(observations, actions=actions, rewards=rewards, next=observations, goes_on=over)
-    chosen = fitted(drawn, 700, temperature=6.0).act(observations)[:, 0]
+    chosen = fitted(drawn, 500, temperature=6.0).act(observations)[:, 0]
     clear = np.abs(observations[:, 0]) > 0.2
     right = np.sign(chosen[clear]) == np.sign(observations[clear, 0])
     assert right.mean() > 0.95
@@ -85,7 +85,7 @@ def test_values_count_what_comes_later_unless_the_episode_ends():
         next=states[rows + 1],
         goes_on=(rows == 0).astype(np.float32),
     )
-    actor = fitted(drawn, 800, gamma=0.5, tau=0.05)
+    actor = fitted(drawn, 500, gamma=0.5, tau=0.05)
     with torch.no_grad():
         values = actor.value(torch.as_tensor(states[:2])).numpy()
     np.testing.assert_allclose(values, [0.5, 1.0], atol=0.08)
