@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,15 @@ def test_it_holds_what_was_written(found, in_file, tmp_path, monkeypatch):
     monkeypatch.setattr(columns, "LARGE", 0 if in_file else columns.LARGE)
     write(tmp_path, found)
     same(read_cell(tmp_path).episodes, found)
+
+
+def test_steps_without_a_decision_are_unknown_beside_a_long_one(tmp_path):
+    """The long one makes ticks of four bytes of all, in which those of two have another number in place of NaN."""
+    episodes = list(played(2))
+    episodes[1] = replace(episodes[1], decision_ms=np.full(episodes[1].length, 7.0))
+    assert np.isnan(episodes[0].decision_ms).any()
+    write(tmp_path, episodes)
+    same(read_cell(tmp_path).episodes, episodes)
 
 
 WRITER = """

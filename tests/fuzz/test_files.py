@@ -8,6 +8,7 @@ import itertools
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import NoneType
 
@@ -158,16 +159,23 @@ def results_forged(load, rng):
     """Identity, facts and episodes of somebody's choice, which belong together by all checksums."""
 
     def change(folder):
-        identity, facts, runs, results = read_cell(folder)
+        identity, facts, runs, episodes = read_cell(folder)
+        results = list(episodes)
         for name in rng.sample(sorted(set(TYPES) - {"env", "seed"}), rng.randint(0, 3)):
-            values = results.column(name).tolist()
-            values[rng.randrange(len(values))] = rng.choice(HOSTILE_VALUES[rng.choice(sorted(TYPES[name], key=str))])
-            results = results.with_column(name, values)
+            row = rng.randrange(len(results))
+            value = rng.choice(HOSTILE_VALUES[rng.choice(sorted(TYPES[name], key=str))])
+            results[row] = with_value(results[row], name, value)
         identity, facts = (mutated_values(rng, one) if rng.random() < 0.5 else one for one in (identity, facts))
         with contextlib.suppress(ResultsError):  # two of one policy's episodes with one number, which no store holds
             rewrite(folder, identity, facts, results, runs)
 
     return load("results", entry(rng, "report", "report", "resume"), change)
+
+
+def with_value(result, name, value):
+    if hasattr(result.metrics, name):
+        return replace(result, metrics=replace(result.metrics, **{name: value}))
+    return replace(result, **{name: value})
 
 
 def table(path):

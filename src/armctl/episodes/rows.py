@@ -315,7 +315,7 @@ def _unpacked_times(packed: Sequence[bytes], lengths: NDArray[np.int64], kind: "
         if kind.kind == "f":
             times[places == width] = milliseconds(values)
         else:
-            times[places == width] = np.where(is_unknown(values), UNKNOWN_TICKS[kind.str[1:]], values)
+            times[places == width] = np.where(is_unknown(values), kind.type(UNKNOWN_TICKS[kind.str[1:]]), values)
     return times
 
 
