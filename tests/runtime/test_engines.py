@@ -82,11 +82,12 @@ def answers(port):
         return one.connect_ex(("127.0.0.1", port)) == 0
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def ray_head(tmp_path_factory):
     """The port of a node of Ray with a core, to which others can come, and the address for clients.
 
-    One head at a time, of all pytest's workers: two on one machine give their clients the same ports (from 23000). A
+    One head at a time, of all pytest's workers: two on one machine give their clients the same ports (from 23000). It
+    ends with its test: a worker that waits for more tests would keep it, and others would wait for that worker. A
     head that ends (Ray gives a node 30 s to start), or does not answer, is replaced.
     """
     with filelock.FileLock(tmp_path_factory.getbasetemp().parent / "ray.lock"), pytest.MonkeyPatch.context() as patch:
@@ -199,8 +200,8 @@ def test_a_cluster_plays_what_one_process_plays_also_if_a_node_is_killed(cluster
     assert timeless(tmp_path / "one").equals(timeless(tmp_path / "two"))
 
 
-def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(cluster, processes, tmp_path):
-    address, node = cluster
+def test_a_cluster_records_what_one_process_records_also_if_a_node_is_killed(dask_cluster, processes, tmp_path):
+    address, node = dask_cluster
     given: dict[str, Any] = {"episodes": 40, "env_options": OPTIONS}
     collect("mine.py:holding", out=tmp_path / "one", **given)
 
