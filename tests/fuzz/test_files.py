@@ -91,7 +91,7 @@ def originals(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("armctl.study.suite_plan.FULL", SuiteSize(2, ("delay",), (0.25,)))
         patch.setattr("armctl.study.suite_plan.line_up", lambda *_: ("reach_ik", "reach_ppo"))
-        suite(["armctl/ArmReach-v0"], out=home / "suite")
+        suite(["armctl/ArmReach-v0"], episodes=2, out=home / "suite")
     card = card_path("reach_ppo")
     for name in ("agent", "recipe", "curve"):
         (home / name).mkdir()

@@ -32,7 +32,7 @@ def finished(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FULL", SuiteSize(2, ("delay",), (0.25,)))
         patch.setattr(module, "line_up", lambda *_: ("reach_ik", "reach_ppo"))
-        suite([REACH], out=folder)
+        suite([REACH], episodes=2, out=folder)
     return folder
 
 

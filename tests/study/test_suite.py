@@ -39,7 +39,7 @@ def small():
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("suite")
-    return suite([REACH, MOVING], out=folder), folder
+    return suite([REACH, MOVING], episodes=2, out=folder), folder
 
 
 @pytest.fixture
@@ -146,10 +146,10 @@ def test_an_interrupted_suite_resumes_and_is_the_same(finished, tmp_path):
         if done == 9:
             raise KeyboardInterrupt
 
-    cut = suite([REACH, MOVING], out=tmp_path / "cut", progress=interrupting)
+    cut = suite([REACH, MOVING], episodes=2, out=tmp_path / "cut", progress=interrupting)
     assert cut.interrupted
     assert read_study(tmp_path / "cut").interrupted
-    again = suite([REACH, MOVING], out=tmp_path / "cut")
+    again = suite([REACH, MOVING], episodes=2, out=tmp_path / "cut")
     assert not again.interrupted
     assert timeless(tmp_path / "cut").equals(timeless(finished[1]))
 
@@ -168,7 +168,7 @@ def test_a_suite_that_grew_was_looked_at_before(folder):
 
 def test_a_task_that_fails_is_told_and_stops_no_other(tmp_path, monkeypatch):
     monkeypatch.setitem(LINE_UPS, MOVING, ("reach_ppo",))  # made for another task
-    found = suite([MOVING, REACH], out=tmp_path)
+    found = suite([MOVING, REACH], episodes=2, out=tmp_path)
     assert list(found.tasks) == [REACH]
     assert "agent reach_ppo" in found.failures[MOVING]
     assert any("agent reach_ppo" in problem for problem in read_study(tmp_path).problems)
@@ -177,7 +177,7 @@ def test_a_task_that_fails_is_told_and_stops_no_other(tmp_path, monkeypatch):
 def test_an_agent_whose_file_is_damaged_is_told(tmp_path, monkeypatch):
     (tmp_path / "mine.json").write_text("{")
     monkeypatch.setattr("armctl.study.line_up.agent_cards", lambda: {"mine_ppo": tmp_path / "mine.json"})
-    found = suite([REACH], out=tmp_path / "suite")
+    found = suite([REACH], episodes=2, out=tmp_path / "suite")
     assert list(found.tasks) == list(found.failures) == [REACH]
     for told in (found, read_study(tmp_path / "suite")):
         assert any("mine_ppo was left out" in problem and "not an agent's card" in problem for problem in told.problems)
@@ -202,7 +202,7 @@ def test_unusable_arguments_say_so(folder):
     with pytest.raises(ResultsError, match="seed: 0 there, 5 here"):
         suite([REACH], seed=5, out=folder)
     with pytest.raises(ResultsError, match=r"further results .*ArmReachMoving-v0/none.*: ask for these too"):
-        suite([REACH], out=folder)
+        suite([REACH], episodes=2, out=folder)
     with pytest.raises(ConfigurationError, match="cannot be the name"):
         task_name("../escape")
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,12 @@ import pytest
 
 from armctl.core.errors import ConfigurationError
 from armctl.report import write_report
+from armctl.stats.across_tasks import TaskPair
+from armctl.stats.difference import MARGIN
 from armctl.stats.robustness import change_between
+from armctl.stats.sequential import ConfidenceSequence
 from armctl.study import compare, suite, sweep
+from armctl.study.line_up import FULL, QUICK
 from armctl.study.plan import comparison_plan, sweep_plan
 from armctl.study.results import read_comparison, read_study
 from armctl.study.suite_plan import suite_plan
@@ -270,6 +275,57 @@ def test_a_task_with_one_kind_alone_has_nothing_to_decide(monkeypatch, tmp_path)
     monkeypatch.setattr("armctl.study.suite_plan.main_disturbances", lambda env, size: {"delay": [0, 8]})
     found = suite(["armctl/ArmReach-v0"], episodes=60, until="decided", worlds=10, out=tmp_path)
     assert [comparison.facts.planned for comparison in found.cells.values()] == [10, 10]
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_a_suite_stops_unless_a_number_is_fixed(quick):
+    at_most = (QUICK if quick else FULL).episodes
+    cases: Any = [
+        (None, {}, (at_most, True)), (None, {"until": "decided"}, (at_most, True)),
+        (7, {}, (7, False)), (7, {"until": "decided"}, (7, True)),
+    ]  # fmt: skip
+    for episodes, options, expected in cases:
+        plan = suite_plan(["Pendulum-v1"], quick, episodes, 0, options)
+        assert (plan.episodes, plan.until_decided) == expected
+    with pytest.raises(ConfigurationError, match="Did you mean 'decided'"):
+        suite_plan(["Pendulum-v1"], quick, None, 0, {"until": "decidet"})  # type: ignore[typeddict-item]
+
+
+@pytest.mark.parametrize(
+    ("episodes", "wins", "decided"), [(100, 10, False), (100, 11, True), (287, 0, False), (316, 0, True)]
+)
+def test_what_a_quick_suite_of_ten_tasks_can_decide(episodes, wins, decided):
+    gains = np.zeros(episodes)
+    gains[np.linspace(0, episodes - 1, wins, dtype=int)] = 1
+    sequence = ConfidenceSequence(gains, (-1.0, 1.0))
+    pair = TaskPair(episodes, wins, 0, 2 * 10 * sequence.p(), num_comparisons=10, anytime=sequence.intervals())
+    assert bool(pair.better or pair.equivalent(MARGIN)) is decided
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("until", "counts"), [(None, {42}), ("decided", {10, 12})])
+def test_only_a_suite_that_stops_plays_fewer_episodes_of_some(monkeypatch, until, counts):
+    monkeypatch.setattr("armctl.study.suite_plan.line_up", lambda env, one_of_each: ("random", "reach_ik", "reach_ppo"))
+    monkeypatch.setattr("armctl.study.suite_plan.main_disturbances", lambda env, size: {"delay": [0, 1]})
+    found = suite(["armctl/ArmReach-v0"], episodes=42, until=until, worlds=10)
+    assert {len(table) for table in found.cells["ArmReach-v0/delay-1.0"].results.by_policy().values()} == counts
+
+
+@pytest.mark.slow
+def test_a_suite_plays_all_episodes_of_an_environment_that_ignores_its_seed(monkeypatch):
+    odd = f"{Path(__file__).parents[1] / 'envs' / 'odd_environments.py'}:Deaf"
+    monkeypatch.setattr("armctl.study.suite_plan.line_up", lambda *_: ("random",))
+    found = suite([odd], policies={"other": "random"}, episodes=12, until="decided")
+    assert not found.problems
+    for cell in found.cells.values():
+        assert [len(table) for table in cell.results.by_policy().values()] == [12, 12]
+        assert (cell.facts.at_most, cell.facts.paired) == (None, False)
+
+
+def test_looks_take_of_policies_what_summaries_tell(swept):
+    for comparison in swept[0].comparisons.values():
+        told = [(policy.policy, policy.side, policy.spared) for policy in comparison.policies]
+        assert [(name, facts.side, facts.spared) for name, facts in comparison.players.items()] == told
 
 
 def test_verdicts_that_are_told_together_are_corrected_together():

@@ -1,7 +1,7 @@
 """Verbs that compare: `compare` on one task, `suite` in all tasks."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -71,8 +71,8 @@ class StudyRequest:
     ] = None
     table_format: Format = TableFormat.TABLE
 
-    def num_episodes(self, episodes: int | None, usual: Any) -> Any:
-        """Return the number of episodes, fixed or the largest one, if `usual` is the fixed one.
+    def num_episodes(self, episodes: int | None, usual: Any, usually_at_most: Any = 500) -> Any:
+        """Return the number of episodes, fixed or the largest one, if nothing else is asked for, of these two.
 
         Raises `ConfigurationError` for options that exclude each other.
         """
@@ -80,7 +80,7 @@ class StudyRequest:
             raise ConfigurationError("--at-most is for --until decided: without it, --episodes is the number")
         if self.until is not None and episodes is not None:
             raise ConfigurationError("--episodes is a fixed number: with --until decided, --at-most limits it")
-        return (episodes or usual) if self.until is None else (self.at_most or 500)
+        return (episodes or usual) if self.until is None else (self.at_most or usually_at_most)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +226,26 @@ class SuiteRequest(StudyRequest):
     ] = False
     episodes: Annotated[
         int | None,
-        typer.Option(min=1, help="Episodes that every policy plays in each setting.", show_default="50; 350 if quick"),
+        typer.Option(
+            min=1,
+            help="Fixed number of episodes that every policy plays in each setting, decided or not.",
+            show_default="none",
+        ),
+    ] = None
+    until: Annotated[
+        str | None,
+        typer.Option(
+            metavar="decided",
+            help="Stop each setting when every pair of its verdict is better, worse or equivalent, judged by a test "
+            "that holds at any number of episodes.",
+            show_default="decided, without --episodes",
+        ),
+    ] = None
+    at_most: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Episodes that every policy plays at most in each setting.", show_default="50; 100 if quick"
+        ),
     ] = None
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results and reports.", show_default="results/<date and time>")
@@ -250,7 +269,9 @@ def suite(request: SuiteRequest) -> None:
     it ends. After Ctrl-C, the same command with the same `--out` resumes the suite. A task that fails is reported, and
     does not stop the others.
     """
-    num_episodes = request.num_episodes(request.episodes, None)
+    if request.episodes is None:
+        request = replace(request, until=request.until or "decided")
+    num_episodes = request.num_episodes(request.episodes, None, None)
     envs, policies = request.envs, request.policies or ()
     from armctl.study.suite_plan import ALL, suite_plan
 

@@ -15,6 +15,11 @@ def check_kind(kind: object) -> None:
         raise unknown_name("kind", kind, KINDS)
 
 
+def kind_of(declared: str | None, is_trained: bool) -> Kind:
+    """Return the kind on which verdicts count a policy: the declared one; or else learned if it was trained."""
+    return next((kind for kind in KINDS if kind == declared), KINDS[is_trained])
+
+
 def declared_kind(policy: Any) -> Kind | None:
     """Return the kind that a policy, or its maker, declares; None without a declaration."""
     kind = getattr(policy, "kind", None)

@@ -11,14 +11,14 @@ environment itself, since such an environment may change by its own threads whil
 import contextlib
 import itertools
 import sys
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import gymnasium
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.core.errors import FAILURES, Disqualified
 from armctl.envs import EpisodeVectorEnv, TaskVectorEnv, ThirdPartyVectorEnv
@@ -27,7 +27,7 @@ from armctl.simulation import Simulation
 _PLAIN = (bool, int, float, str, np.generic)
 _MJ_DATA = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "xfrc_applied")
 _LARGE = 2**16
-"""Bytes. The checksum of a larger array takes longer than most decisions: a read-only one is taken as unchanged."""
+"""Bytes. A copy of a larger array takes longer than most decisions: a read-only one is taken as unchanged."""
 MAX_PLACES = 10_000
 """Number of values of an environment of others that are compared."""
 _SPACES = ("single_observation_space", "single_action_space", "observation_space", "action_space")
@@ -44,7 +44,7 @@ class StateGuard:
     def __init__(self, env: Any, has_access: bool | None = None, foresight: tuple[str, ...] | None = None) -> None:
         self._worlds: EpisodeVectorEnv = env.unwrapped
         self.has_access, self._foresight = has_access, foresight
-        self._slots: list[_Slot] = []
+        self._places: list[_Place] = []
 
     @contextmanager
     def assert_unchanged(self, new_episode: bool = False) -> Iterator[None]:
@@ -67,52 +67,53 @@ class StateGuard:
             yield
             return
         if new_episode:
-            self._slots = [_Slot.of(*place) for place in _places(self._worlds)]
+            self._places = [_Place.of(*place) for place in _places(self._worlds)]
         state = getattr(self._worlds.task, "state", None)  # another object at each control step
-        slots = [*self._slots, *(_Slot.of(*at) for at in _inside("task.state", getattr(state, "__dict__", {})))]
-        values_before = _values(slots)
+        in_state = (_Place.of(*place) for place in _inside("task.state", getattr(state, "__dict__", {})))
+        places = [*self._places, *in_state]
+        previous = _values(places)
+        previous_contents = _contents(previous)
         failure: BaseException | None = None
         try:
             yield
         except FAILURES as error:
             failure = error
-        values_after = _values(slots)
-        if (self.has_access or not is_foreign) and values_before != values_after:
-            values = zip(slots, values_before, values_after, strict=True)
-            changed = [(slot, previous) for slot, previous, current in values if previous != current]
-            for slot, was in changed:
-                slot.put_back(was)
-            names = ", ".join(slot.name for slot, _ in changed[:3])
+        contents = _contents(_values(places))
+        if (self.has_access or not is_foreign) and previous_contents != contents:
+            values = zip(places, previous, previous_contents, contents, strict=True)
+            changed = [(place, value, content) for place, value, content, current in values if content != current]
+            for place, value, content in changed:
+                place.put_back(value, content)
+            names = ", ".join(place.name for place, *_ in changed[:3])
             raise Disqualified(f"it wrote to the world, which is only for reading: {names}") from failure
         if failure is not None:
             raise failure
 
 
-class _Slot(NamedTuple):
-    """A place where a value is that an episode depends on."""
+class _Place(NamedTuple):
+    """A place where a value is that an episode depends on: a key of a dict, a list, or a class."""
 
-    name: str
-    holder: Any
-    """A dict, a list, or a class."""
+    look_up: Callable[[Any], Any]
     key: Any
-    items: Any
-    """The holder as a mapping or a list."""
-    array: Any = None
-    """The array that is there, if it is one, and a copy of what it holds."""
-    content: Any = None
+    holder: Any
+    name: str
 
     @classmethod
-    def of(cls, name: str, holder: Any, key: Any) -> "_Slot":
-        items = _items(holder)
-        value = items[key]
-        return cls(name, holder, key, items, *((value, value.copy()) if isinstance(value, np.ndarray) else ()))
+    def of(cls, name: str, holder: Any, key: Any) -> "_Place":
+        return cls(_items(holder).__getitem__, key, holder, name)
 
-    def put_back(self, value: Any) -> None:
-        """Restore what was there: `value`, or the array with its content."""
-        if self.array is not None:
-            value = self.array
-            if value.flags.writeable:
-                value[...] = self.content
+    @property
+    def value(self) -> Any:
+        """Value that is there; None if it is gone."""
+        try:
+            return self.look_up(self.key)
+        except LookupError:
+            return None
+
+    def put_back(self, value: Any, content: Any) -> None:
+        """Restore what was there: a plain value, or an array and its content."""
+        if isinstance(value, np.ndarray) and value.flags.writeable:
+            value[...] = np.frombuffer(content, value.dtype).reshape(value.shape)
         if isinstance(self.holder, type):
             setattr(self.holder, self.key, value)
         else:
@@ -120,24 +121,21 @@ class _Slot(NamedTuple):
                 self.holder[self.key] = value
 
 
-def _values(slots: Sequence[_Slot]) -> list[Any]:
-    """Return plain values, and the checksums of arrays; None for what is gone."""
-    values = []
-    for slot in slots:
-        try:
-            value = slot.items[slot.key]
-        except LookupError:
-            value = None
-        if isinstance(value, np.ndarray):
-            if value.nbytes > _LARGE and not value.flags.writeable:
-                value = id(value)
-            else:
-                is_buffer = (
-                    value.flags.c_contiguous and value.dtype.kind in "biufc"
-                )  # times, texts and records are none
-                value = zlib.crc32(value.data if is_buffer else value.tobytes())
-        values.append(value)
-    return values
+def _values(places: Sequence[_Place]) -> list[Any]:
+    """Return what is there; None for what is gone."""
+    try:
+        return [look_up(key) for look_up, key, _, _ in places]
+    except LookupError:
+        return [place.value for place in places]
+
+
+def _contents(values: Sequence[Any]) -> list[Any]:
+    """Return plain values, and the bytes of arrays."""
+    return [_content(value) if isinstance(value, np.ndarray) else value for value in values]
+
+
+def _content(array: NDArray[Any]) -> bytes | int:
+    return id(array) if array.nbytes > _LARGE and not array.flags.writeable else array.tobytes()
 
 
 def _places(worlds: EpisodeVectorEnv) -> Iterator[tuple[str, Any, Any]]:

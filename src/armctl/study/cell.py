@@ -229,6 +229,8 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         stack.callback(close, policies.values())
         line = _Line(cell, plan, session.policy_seed, recorder, interfaces, policies)
         notes = _notes(line, task)
+        if not task.obeys_seed:
+            line = replace(line, plan=replace(plan, until_decided=False))
         recorder.check(line.env, cell)
         store.open(plan.seed, [other.name for other in plan.cells])
         recorder.open()
@@ -247,7 +249,7 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
             results = results[results.column("episode") < first + count]
             if plan.kind != SUITE:
                 return is_decided(results, facts, plan.num_verdicts_with(cell))
-            so_far = concluded(writer.identity, cell.env_options, facts, results, writer.runs)
+            so_far = Comparison(writer.identity, cell.env_options, facts, results, writer.runs)
             return task.is_decided(cell, so_far, plan.num_verdicts_with(cell))
 
         _play(line, writer, task, first, meter, events, session, decided)
@@ -256,15 +258,14 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         counts = ((name, len(episodes)) for name, episodes in results.by_policy().items())
         judged = min((count for name, count in counts if count < task.enough(cell, name)), default=0)
         runs = [*writer.runs, meter.finished(judged, plan.baseline, plan.margin)]
-        facts = line.facts(events, notes, len(writer.kept), first)
-        facts = replace(facts, paired=task.seeding is None or task.seeding.obeyed)
+        facts = replace(line.facts(events, notes, len(writer.kept), first), paired=task.obeys_seed)
         try:
             runs = writer.finish(asdict(facts), runs, events.disqualified)
         except ResultsError as error:
             facts.failures["results"] = str(error)
         comparison = concluded(writer.identity, cell.env_options, facts, results, runs, events.tracebacks)
-        if plan.kind == SUITE and cell.setting == UNDISTURBED:
-            task.contenders = contenders(comparison, plan.until_decided)
+        if plan.kind == SUITE and line.plan.until_decided and cell.setting == UNDISTURBED:
+            task.contenders = contenders(comparison, any_number=True)
         recorder.finish(comparison)
         return comparison
 
@@ -299,9 +300,8 @@ def _notes(line: _Line, task: Task) -> list[str]:
         notes.append(cell.real_time.in_words(env.task.control_period))
     if not line.plan.engine.is_local:
         check_sendable(line.playing)
-    if task.seeding is None:
-        task.seeding = check_seed(cell.env, cell.env_options, line.plan.timeout)
-    if line.plan.until_decided and not task.seeding.obeyed:
+    task.seeding = task.seeding or check_seed(cell.env, cell.env_options, line.plan.timeout)
+    if line.plan.until_decided and line.plan.kind != SUITE and not task.obeys_seed:
         raise ConfigurationError(NO_PAIRS.format(env=bare_id(cell.env)))
     notes += task.seeding.notes
     if isinstance(env, ThirdPartyVectorEnv):

@@ -13,7 +13,7 @@ from armctl.rollout.decision_times import Machines, load_notes, timing_notes, wi
 from armctl.runtime.provenance import Run, argument_notes, earlier_looks, overwritten_looks
 from armctl.stats.difference import Difference
 from armctl.stats.robustness import GROUP
-from armctl.verdict.facts import Facts
+from armctl.verdict.facts import Facts, PolicyFacts
 from armctl.verdict.notebook import Displayed
 from armctl.verdict.notes import certificate_notes, first_step_notes, motion_notes, unclean_notes
 from armctl.verdict.scores import by_learner
@@ -111,6 +111,13 @@ class Comparison(Displayed):
     def names(self) -> list[str]:
         """Names of all policies that were asked for, in order; a group of trainings counts as one."""
         return learners(list(self.identity["policies"]), self.facts.groups)
+
+    @cached_property
+    def players(self) -> dict[str, PolicyFacts]:
+        """Facts about each policy with episodes that count; about a group, those of its first training."""
+        counted, _ = counted_results(self.results, self.facts.first_episode)
+        trained = by_learner(counted, self.facts.policies, self.facts.groups)
+        return {name: self.facts.policies[next(iter(trainings))] for name, trainings in trained.items()}
 
     @cached_property
     def counted(self) -> dict[str, EpisodeTable]:

@@ -34,7 +34,12 @@ class Task:
     seeding: "SeedCheck | None" = None
     """None before the first cell is played."""
     contenders: Contenders = field(default_factory=dict)
-    """Empty before the undisturbed cell of a suite was played."""
+    """Empty before the undisturbed cell of a suite was played, and where no cell stops when it is decided."""
+
+    @property
+    def obeys_seed(self) -> bool:
+        """True if the episodes of a seed are the same for all policies, as far as is known."""
+        return self.seeding is None or self.seeding.obeyed
 
     def is_decided(self, cell: "Cell", so_far: Comparison, num_verdicts: int) -> bool:
         """Return True if a suite's verdict on a cell `so_far`, one of so many, is no longer undecided.
@@ -78,7 +83,8 @@ def contenders(undisturbed: Comparison, any_number: bool) -> Contenders:
         return {}
     rows = undisturbed.counted_rows
     returns = rows.pivot(index="episode", columns="policy", values="return").reindex(table.index)
-    members = {kind: [policy.policy for policy in undisturbed.policies if policy.side == kind] for kind in KINDS}
+    players = undisturbed.players.items()
+    members = {kind: [name for name, policy in players if policy.side == kind] for kind in KINDS}
     return {kind: choose(table, returns, names, any_number) for kind, names in members.items() if names}
 
 
@@ -101,10 +107,8 @@ def success_table(comparison: Comparison, with_spared: bool = False) -> "pd.Data
 
     Policies that the disturbance does not reach are left out, unless the table is asked for `with_spared` ones.
     """
-    episodes = comparison.episodes
-    if not len(episodes) or not comparison.policies or episodes.success.isna().any():
+    players = comparison.players
+    if not players or (None,) in comparison.results.counts("success"):
         return None
     success = comparison.counted_rows.pivot(index="episode", columns="policy", values="success").astype(float)
-    return success.reindex(
-        columns=[policy.policy for policy in comparison.policies if with_spared or not policy.spared]
-    )
+    return success.reindex(columns=[name for name in players if with_spared or not players[name].spared])

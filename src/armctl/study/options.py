@@ -34,7 +34,8 @@ class StudyOptions(TypedDict, total=False):
     until: Literal["decided"] | None
     """`decided`: play in blocks, and stop in each cell when every pair of its verdict is decided, at a level that is
     corrected for the number of cells that are judged together; `episodes` is then the most. What is concluded holds at
-    any number of episodes (see `armctl.stats.sequential`). By default, all episodes are played."""
+    any number of episodes (see `armctl.stats.sequential`). By default, all episodes are played, but in a suite without
+    a number of them."""
     policy_seed: int | None
     """Secret from which policies draw their own random numbers (see `armctl.envs.policy_seed`), so that another study
     draws the same. By default, that of the folder, or a new one; it is in the summary."""

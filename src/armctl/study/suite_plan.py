@@ -27,10 +27,13 @@ def suite_plan(
 ) -> Plan:
     """Plan the cells of several tasks, with further `policies` where they fit.
 
-    A task that cannot be played is among the failures. Raises `ConfigurationError`.
+    Without a number of `episodes`, a cell stops when it is decided, or after those of the suite's size. A task that
+    cannot be played is among the failures. Raises `ConfigurationError`.
     """
     checked_options(options, StudyOptions)
     size = QUICK if quick else FULL
+    if episodes is None:
+        options = {**options, "until": options.get("until") or "decided"}
     shared = extent(size.episodes if episodes is None else episodes, evaluation_seed(seed), options)
     requested = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     by_name = {task_name(env): env for env in dict.fromkeys(map(full_id, requested))}

@@ -44,7 +44,6 @@ CHOSEN_AT_FIRST = (
 )
 """The same, where cells stop when they are decided."""
 
-
 RESULTS = {1: "better", 0: "not shown to be better or worse", -1: "worse"}
 """Signs of `TaskPair.better`, of its first policy in words."""
 
@@ -141,6 +140,8 @@ class TaskVerdict:
             return "no episode was finished undisturbed"
         if not self.cells:
             return "the environment does not say what a success is"
+        if self.classical and self.learned:
+            return f"the first {SELECTING} undisturbed episodes select the best policies, and no later one was played"
         return f"no {'learned' if self.learned is None else 'classical'} policy has played"
 
     @property

@@ -7,7 +7,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from armctl.agents.costs import TrainingCost
-from armctl.core.kinds import Kind
+from armctl.core.kinds import Kind, kind_of
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 UNDECLARED: Literal["not declared"] = "not declared"
@@ -43,6 +43,11 @@ class PolicyFacts:
     """True if it played in a process of its own, which got observations only."""
     transport_ms: Finite | None = None
     """Time that messages take beside a decision, median; None if that was not measured."""
+
+    @property
+    def side(self) -> Kind:
+        """Kind on which verdicts count it."""
+        return kind_of(self.kind, self.training_cost.steps > 0)
 
 
 def training_cost_of(policy: Any) -> TrainingCost:

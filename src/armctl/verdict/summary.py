@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.agents.costs import TrainingCost, mean_cost
-from armctl.core.kinds import KINDS, Kind
+from armctl.core.kinds import Kind, kind_of
 from armctl.envs import ERROR, UNSTABLE, privilege_in_words
 from armctl.episodes.table import EpisodeTable
 from armctl.rollout.decision_times import Machines, comparable_times, setting_in_words
@@ -121,8 +121,8 @@ class PolicySummary(DecisionTimes, Performance, PlayedEpisodes):
 
     @property
     def side(self) -> Kind:
-        """Kind on which verdicts count it: the declared one; or else learned if it was trained, classical if not."""
-        return next((kind for kind in KINDS if kind == self.kind), KINDS[self.training.steps > 0])
+        """Kind on which verdicts count it."""
+        return kind_of(self.kind, self.training.steps > 0)
 
     @property
     def interventions(self) -> list[str]:
