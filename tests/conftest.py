@@ -7,7 +7,7 @@ import shutil
 import signal
 import sys
 import tomllib
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import distribution
 from pathlib import Path
 from types import SimpleNamespace
@@ -136,5 +136,13 @@ def chromium():
     arguments = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        browser.new_page = partial(patient_page, browser.new_page)
         yield browser
         browser.close()
+
+
+def patient_page(new_page, **options):
+    """A page that loads on a busy machine, too."""
+    page = new_page(**options)
+    page.set_default_timeout(200_000)
+    return page
