@@ -91,6 +91,7 @@ dist: $(VENV)/uv
 benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/throughput.py
 	$(BIN)/python benchmarks/throughput.py --env armctl/BridgeCross-v0
+	$(BIN)/python benchmarks/limits.py
 	$(BIN)/python benchmarks/physics_step.py
 	$(BIN)/python benchmarks/ik.py
 	$(BIN)/python benchmarks/planning.py
