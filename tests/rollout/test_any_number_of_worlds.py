@@ -56,3 +56,31 @@ def test_worlds_and_workers_change_no_episode(env):
     expected = rows(env, LINES_UP[env], EPISODES, EPISODES, 1)
     for worlds, workers in SETTINGS.values():
         pd.testing.assert_frame_equal(rows(env, LINES_UP[env], EPISODES, worlds, workers), expected, check_exact=True)
+
+
+class Brief:
+    """Fails in its third step, where the target is on the left."""
+
+    calls = 0
+
+    def reset(self):
+        self.steps = 0
+
+    def act(self, observation):
+        Brief.calls += 1
+        self.steps += 1
+        if self.steps == 3 and observation[10] > 0:
+            raise ValueError("enough")
+        return observation[3:9]
+
+
+def test_no_controller_acts_after_its_last_episode():
+    played = {}
+    for worlds in (1, 3, 7):
+        Brief.calls = 0
+        episodes = compare([Brief], episodes=7, worlds=worlds, env_options={"max_episode_steps": 9}).episodes
+        errors = episodes.outcome == "error"
+        assert 0 < errors.sum() < 7
+        assert Brief.calls == episodes.length.sum() + errors.sum()
+        played[worlds] = timeless(episodes)
+        pd.testing.assert_frame_equal(played[worlds], played[1], check_exact=True)

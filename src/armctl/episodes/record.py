@@ -48,7 +48,8 @@ class EpisodeResult:
     """m, mean distance to a moving target since it was first reached; NaN in other tasks."""
     metrics: Metrics
     worlds: int
-    """Number of worlds that shared the policy's calls: decision times are these calls' divided by it."""
+    """Number of worlds that shared the policy's calls. Decision times are these calls', divided by the number of those
+    in which it decides."""
     workers: int
     """Number of processes that played at a time."""
     decision_ms: NDArray[np.float64]

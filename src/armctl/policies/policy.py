@@ -109,6 +109,13 @@ class PerWorld:
         self.controllers = controllers
         self.sees = sees
         self.prepared = prepared
+        self._actions: Sequence[Any] = [None] * len(controllers)
+        self._idle: set[int] = set()
+
+    @property
+    def num_acting(self) -> int:
+        """Number of worlds whose controllers decide."""
+        return len(self.controllers) - len(self._idle)
 
     @property
     def failures(self) -> NDArray[np.int64]:
@@ -121,11 +128,30 @@ class PerWorld:
 
     def reset(self, ids: NDArray[np.int32]) -> None:
         """Begin new episodes in worlds `ids`. Raises `ControllersFailed`."""
+        self._idle.difference_update(ids.tolist())
         self._each(ids.tolist(), self._reset_one)
+
+    def idle(self, ids: NDArray[np.integer[Any]]) -> None:
+        """Let worlds `ids`, whose episodes are over, repeat their last actions until their `reset`."""
+        self._idle.update(i for i in ids.tolist() if self._actions[i] is not None)
 
     def act(self, observations: Observations) -> Actions:
         """Return each controller's action for its own observation. Raises `ControllersFailed`."""
-        return self._batch(self._each(range(len(self.controllers)), lambda i: self._act_one(i, observations)))
+
+        def act_or_repeat(world: int) -> Any:
+            return self._actions[world] if world in self._idle else self._act_one(world, observations)
+
+        try:
+            actions = self._each(range(len(self.controllers)), act_or_repeat)
+        except ControllersFailed as failure:
+            self._keep(failure.actions)
+            raise
+        self._keep(actions)
+        return self._batch(actions)
+
+    def _keep(self, actions: Sequence[Any]) -> None:
+        """Keep the last action of each world that has had one."""
+        self._actions = [old if new is None else new for new, old in zip(actions, self._actions, strict=True)]
 
     def _reset_one(self, world: int) -> None:
         self.controllers[world].reset()

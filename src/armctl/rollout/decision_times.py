@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Observations
 from armctl.episodes.table import EpisodeTable
-from armctl.policies import Actions, ControllersFailed, Policy
+from armctl.policies import Actions, ControllersFailed, PerWorld, Policy
 from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run
 
 Errors = dict[int, BaseException]
@@ -23,8 +23,8 @@ DIGITS = 4
 class TimedPolicy:
     """A policy in n worlds.
 
-    The time of a call is divided by the number of its worlds. `first_call` (n,) marks the worlds in which the first
-    decision of the current episode was the policy's very first, in which code is loaded and compiled.
+    The time of a call is divided by the number of worlds in which it decides. `first_call` (n,) marks the worlds in
+    which the first decision of the current episode was the policy's very first, in which code is loaded and compiled.
     """
 
     slow_down = 1.0
@@ -62,9 +62,15 @@ class TimedPolicy:
         except ControllersFailed as failure:
             actions, errors = failure.actions, failure.errors
         n = len(self.first_call)
-        spent = np.full(n, 1e3 * self._seconds_since(start) / n)
+        num_acting = self.policy.num_acting if isinstance(self.policy, PerWorld) else n
+        spent = np.full(n, 1e3 * self._seconds_since(start) / num_acting)
         self._fresh = False
         return actions, np.round(spent, DIGITS), errors
+
+    def idle(self, ids: NDArray[np.integer[Any]]) -> None:
+        """Let controllers rest whose episodes, in the worlds `ids`, are over; a policy of all worlds acts in all."""
+        if isinstance(self.policy, PerWorld):
+            self.policy.idle(ids)
 
     def _seconds_since(self, start: float) -> float:
         """Return the duration of a call; of an isolated policy, as measured around it in the policy's own process."""

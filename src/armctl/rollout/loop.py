@@ -80,8 +80,8 @@ def rollouts(
     """Play episodes of `seed` in the worlds of `env`, and yield the result of each as it ends.
 
     `episodes` is their count, or their numbers. `lower_bound_steps`, by episode, is read and extended, so that policies
-    can share it. A decision time is the duration of the policy's call divided by the number of worlds. `TimedPolicy` is
-    for a policy that has decided before, or whose decisions come late.
+    can share it. A decision time is the duration of the policy's call divided by the number of worlds in which it
+    decides. `TimedPolicy` is for a policy that has decided before, or whose decisions come late.
 
     An episode in which the policy raises an error or returns an invalid action ends as a `FailedEpisode`, a loss, and
     the next one begins. `until_unplayable` and `unless_failed` handle these.
@@ -158,6 +158,7 @@ class _Player:
                 numbers[i] = next(waiting, -1)
             starting = over & (numbers >= 0)
             playing[over] = starting[over]
+            self._timed.idle(np.flatnonzero(over & ~starting))
             self._recorder.discard_old_steps(playing)
 
     def _find_failed(

@@ -42,8 +42,8 @@ def compare(
     returns an invalid action, is lost: its outcome is `error`, and the next one begins (see
     `armctl.episodes.failures`). Except for decision times, `episodes.csv` does not depend on the number of worlds and
     workers. With one world and one worker (the default), decision times are latencies, by which deadlines are judged;
-    with more worlds, each is a batch's time divided by the number of worlds. The policy's construction, its resets and
-    its first decision in a process have times of their own.
+    with more worlds, each is a batch's time divided by the number of worlds that play. The policy's construction, its
+    resets and its first decision in a process have times of their own.
 
     Raises `ConfigurationError` (also for a seed of training, see `armctl.core.seeds`, and for a return that is
     outside the `return_bounds`), `AgentFileError`, and `ResultsError` if `out` cannot be written, is damaged, or holds
