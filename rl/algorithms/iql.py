@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import numpy as np
 import torch
 from pydantic import Field
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from armctl.agents import AgentCard
 from armctl.core.arrays import map_arrays
@@ -73,13 +72,12 @@ class Transitions(Examples):
 
 
 class Critic(torch.nn.Module):
-    """Features, and layers from them and from actions, if there are any, to a value."""
+    """Features (n, `size`), and layers from them and from actions, if there are any, to a value."""
 
-    def __init__(self, features: BaseFeaturesExtractor, actions: int, hidden: list[int]) -> None:
+    def __init__(self, features: torch.nn.Module, size: int, actions: int, hidden: list[int]) -> None:
         super().__init__()
         self.features = features
-        inputs = features.features_dim + actions
-        self.layers = torch.nn.Sequential(*hidden_layers([inputs, *hidden]), torch.nn.Linear(hidden[-1], 1))
+        self.layers = torch.nn.Sequential(*hidden_layers([size + actions, *hidden]), torch.nn.Linear(hidden[-1], 1))
 
     def forward(self, observations: Any, *actions: torch.Tensor) -> torch.Tensor:
         """Return values (n,)."""
@@ -87,31 +85,43 @@ class Critic(torch.nn.Module):
 
 
 class IqlActor(Actor):
-    """An actor with the critics and the value from which it learns."""
+    """An actor with the critics and the value from which it learns.
+
+    Features without weights are computed once for all networks. The actor's network begins with its features.
+    """
 
     def __init__(self, actor: Actor, training: Training, options: IqlOptions) -> None:
         view, space = training.view, training.held_out.single_observation_space
         super().__init__(actor.network, actor.scale, space)
         actions, hidden = training.held_out.single_action_space.shape[0], [options.hidden_units] * options.layers
         self._options = options
-        self.value = Critic(view.extractor(space), 0, hidden)
-        self.critics = torch.nn.ModuleList(Critic(view.extractor(space), actions, hidden) for _ in range(2))
+        features = view.extractor(space)
+        self._shares = not any(True for _ in features.parameters())
+        self.shared = features if self._shares else torch.nn.Identity()
+
+        def critic(actions: int) -> Critic:
+            unshared = torch.nn.Identity() if self._shares else view.extractor(space)
+            return Critic(unshared, features.features_dim, actions, hidden)
+
+        self.value = critic(0)
+        self.critics = torch.nn.ModuleList(critic(actions) for _ in range(2))
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
 
     def loss(self, observations: Any, followed: Any) -> torch.Tensor:
         """Return the sum of the losses of value, critics and actor, none of which moves the others' parameters."""
         self._move_targets()
         options, actions = self._options, self.scale.inverse(observations, followed["actions"])
+        prepared = self.shared(observations)
         with torch.no_grad():
-            best = torch.min(*(target(observations, actions) for target in self.targets))
-            ahead = options.gamma * followed["goes_on"] * self.value(followed["next"])
+            best = torch.min(*(target(prepared, actions) for target in self.targets))
+            ahead = options.gamma * followed["goes_on"] * self.value(self.shared(followed["next"]))
             returns = options.reward_scale * followed["rewards"] + ahead
-        advantages = best - self.value(observations)
+        advantages = best - self.value(prepared)
         asymmetry = torch.where(advantages > 0, options.expectile, 1 - options.expectile)
         value_loss = (asymmetry * advantages.square()).mean()
-        critic_loss = sum((critic(observations, actions) - returns).square().mean() for critic in self.critics)
+        critic_loss = sum((critic(prepared, actions) - returns).square().mean() for critic in self.critics)
         weights = (options.temperature * advantages.detach()).exp().clamp(max=LARGEST_WEIGHT)
-        errors = (self.network(observations) - actions).square().mean(dim=1)
+        errors = (self.network[int(self._shares) :](prepared) - actions).square().mean(dim=1)
         return value_loss + critic_loss + (weights * errors).mean()
 
     @torch.no_grad()

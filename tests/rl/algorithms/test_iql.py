@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
 
 from armctl.core.arrays import map_arrays
 from armctl.datasets.demonstrations import Demonstration
@@ -44,15 +44,29 @@ class Drawn:
         return tensors(self.observations[rows]), map_arrays(lambda values: values[rows], self.followed)
 
 
-def fitted(drawn, steps, **options):
+class LearnedFeatures(BaseFeaturesExtractor):
+    """Features with weights, which each network learns by itself."""
+
+    def __init__(self, space):
+        super().__init__(space, 16)
+        self.layer = torch.nn.Linear(space.shape[0], 16)
+
+    def forward(self, observations):
+        """Return features (n, 16)."""
+        return self.layer(observations).relu()
+
+
+def fitted(drawn, steps, extractor=FlattenExtractor, **options):
     torch.manual_seed(0)
     space = spaces.Box(-1, 1, (drawn.observations.shape[1],), np.float32)
     scale = ActionScale(-np.ones(1), np.ones(1))
-    view = types.SimpleNamespace(extractor=FlattenExtractor, action_scale=scale)
+    view = types.SimpleNamespace(extractor=extractor, action_scale=scale)
     held_out = types.SimpleNamespace(single_observation_space=space, single_action_space=spaces.Box(-1, 1, (1,)))
     meter = types.SimpleNamespace(watch=lambda optimizer: None)
     training: Any = types.SimpleNamespace(view=view, held_out=held_out, meter=meter, shows_bars=False)
-    network = torch.nn.Sequential(torch.nn.Linear(space.shape[0], 32), torch.nn.ReLU(), torch.nn.Linear(32, 1))
+    features = extractor(space)
+    layers = torch.nn.Linear(features.features_dim, 32), torch.nn.ReLU(), torch.nn.Linear(32, 1)
+    network = torch.nn.Sequential(features, *layers)
     chosen = IqlOptions(**({"hidden_units": 32, "layers": 2, "reward_scale": 1.0} | options))
     actor = IqlActor(Actor(network, scale, space), training, chosen)
     for _ in fit(training, actor, drawn, steps, np.random.default_rng(0), batch_size=128, learning_rate=3e-3):
@@ -60,14 +74,15 @@ def fitted(drawn, steps, **options):
     return actor
 
 
-def test_it_does_what_was_good_among_what_was_done():
+@pytest.mark.parametrize("extractor", [FlattenExtractor, LearnedFeatures])
+def test_it_does_what_was_good_among_what_was_done(extractor):
     rng = np.random.default_rng(1)
     observations = rng.uniform(-1, 1, (3000, 2)).astype(np.float32)
     actions = rng.choice([-0.6, 0.6], (3000, 1)).astype(np.float32)
     rewards = (np.sign(observations[:, 0]) == np.sign(actions[:, 0])).astype(np.float32)
     over = np.zeros(3000, np.float32)
     drawn = Drawn(observations, actions=actions, rewards=rewards, next=observations, goes_on=over)
-    chosen = fitted(drawn, 500, temperature=6.0).act(observations)[:, 0]
+    chosen = fitted(drawn, 500, extractor, temperature=6.0).act(observations)[:, 0]
     clear = np.abs(observations[:, 0]) > 0.2
     right = np.sign(chosen[clear]) == np.sign(observations[clear, 0])
     assert right.mean() > 0.95
