@@ -49,6 +49,9 @@ obstacles_plan_bc = _agent(
 )
 lift_bc = _agent("lift_bc", "Behaviour cloning on `armctl/ArmLift-v0`, from `lift_grasp` without its memory.")
 pose_dagger = _agent("pose_dagger", "DAgger on `armctl/ArmPose-v0`, in imagination, labelled by inverse kinematics.")
+push_act = _agent(
+    "push_act", "Chunks of a small transformer on `armctl/ArmPush-v0`, from `push_line` without its memory."
+)
 push_bc = _agent("push_bc", "Behaviour cloning on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 push_flow = _agent("push_flow", "Flow matching of chunks on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 obstacles_ppo = _agent(
