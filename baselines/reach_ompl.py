@@ -164,11 +164,15 @@ class ReachOmpl:
         self._clearance = clearance
         tries = 1 + self._failures
         options = ArmPlannerOptions(clearance=clearance, goals=GOALS * tries, seed=tries, **self._effort)
-        plan = ArmPlanner(self._model, options, self._search).plan(q, target, self._radius, boxes)
+        plan = self._planner(options, target, boxes).plan(q, target, self._radius, boxes)
         self._path, self._failures = plan.path, 0 if plan.solved else self._failures + 1
         self._sight, self._braking = (
             EdgeChecker(self._shapes, boxes, share * clearance, q) for share in (SIGHT, BRAKING)
         )
+
+    def _planner(self, options: ArmPlannerOptions, target: Array, boxes: Boxes) -> ArmPlanner:
+        """Return a planner of a path to the place `target` among boxes."""
+        return ArmPlanner(self._model, options, self._search)
 
     def _on_path(self, q: Array) -> Array | None:
         """Return the farthest point (dof,) of the path in sight, or the nearest if too near to something; or None."""

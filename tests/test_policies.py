@@ -34,7 +34,18 @@ def no_policy(env):
     return object()
 
 
-SEEN = dict.fromkeys(("reach_ik", "reach_mpc", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"), "model")
+SEEN = dict.fromkeys(
+    (
+        "reach_ik",
+        "reach_mpc",
+        "reach_ompl",
+        "obstacles_imagined",
+        "obstacles_plan_bc",
+        "scenes_imagined",
+        "scenes_plan_bc",
+    ),
+    "model",
+)
 SEEN |= dict.fromkeys(("moving_forecast", "moving_estimated", "bridge_cleaned"), "model")
 SEEN |= dict.fromkeys(("moving_robust_distil", "obstacles_ppo", "obstacles_robust_distil"), "model")
 SEEN |= dict.fromkeys(("lift_grasp", "push_line", "reach_impedance", "reach_rate", "reach_ruckig"), "model")
@@ -81,7 +92,7 @@ def test_all_installed_policies_meet_somewhere():
 @pytest.mark.parametrize("name", [name for name in policy_names() if name != "random"])
 def test_policies_of_another_task_say_so(name):
     env: Any = gymnasium.make_vec(ENV if name.startswith(("barn", "bridge")) else "armctl/BridgeCross-v0", num_envs=1)
-    with pytest.raises(ArmctlError, match=r"BarnCross|BridgeCross|ArmLift|ArmPose|ArmPush|ArmReach|Reacher"):
+    with pytest.raises(ArmctlError, match=r"BarnCross|BridgeCross|ArmLift|ArmPose|ArmPush|ArmReach|ArmScenes|Reacher"):
         make_policy(name, env)
 
 

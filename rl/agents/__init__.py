@@ -54,6 +54,11 @@ push_act = _agent(
 )
 push_bc = _agent("push_bc", "Behaviour cloning on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 push_flow = _agent("push_flow", "Flow matching of chunks on `armctl/ArmPush-v0`, from `push_line` without its memory.")
+scenes_plan_bc = _agent(
+    "scenes_plan_bc",
+    "Clone of plans on `armctl/ArmScenes-v0`; it sees the boxes, and knows where the arm's links are.",
+    "model",
+)
 obstacles_ppo = _agent(
     "obstacles_ppo",
     "`obstacles_plan_bc`, improved by PPO; it sees the boxes, and knows where the arm's links are.",

@@ -210,6 +210,7 @@ def test_installed_policies_declare_what_they_see():
     }  # fmt: skip
     assert {name for name, sees in declared.items() if sees == "state"} == omniscient
     knowing = {"reach_ik", "reach_mpc", "reach_mppi", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"}
+    knowing |= {"scenes_imagined", "scenes_plan_bc"}
     knowing |= {"moving_forecast", "moving_estimated", "bridge_cleaned"}
     knowing |= {"moving_robust_distil", "obstacles_ppo", "obstacles_robust_distil"}
     knowing |= {"bridge_dwa", "bridge_lidar_ompl", "bridge_pursuit"}

@@ -21,7 +21,14 @@ LINES_UP = {
         "obstacles_imagined",
         "random",
     ),
-    "armctl/ArmScenes-v0": ("reach_ompl", "reach_mpc", "reach_ik", "random"),
+    "armctl/ArmScenes-v0": (
+        "reach_ompl",
+        "reach_mpc",
+        "reach_ik",
+        "scenes_imagined",
+        "scenes_plan_bc",
+        "random",
+    ),
     "armctl/BarnCross-v0": ("bridge_ompl", "bridge_dwa", "bridge_distil", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_distil", "random"),
     "armctl/BridgeCrossMoving-v0": (

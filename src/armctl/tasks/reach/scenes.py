@@ -100,7 +100,9 @@ class ReachScenesTask(ReachPoseTask, ReachObstaclesTask):
         **ReachPoseTask.units, "boxes": "centres and half sizes, m; yaws and tilts, rad"
     }  # fmt: skip
     instruction = "Move the end-effector to the target's pose without touching the obstacles."
-    default_policies: ClassVar[tuple[str, ...]] = ("reach_ompl", "reach_mpc", "reach_ik", "random")
+    default_policies: ClassVar[tuple[str, ...]] = (
+        "reach_ompl", "reach_mpc", "reach_ik", "scenes_imagined", "scenes_plan_bc", "random",
+    )  # fmt: skip
 
     def __init__(self, n: int, options: ReachScenesOptions, threads: int = 0) -> None:
         super().__init__(n, options, threads)
