@@ -1,3 +1,4 @@
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from armctl.envs import make_worlds
 from armctl.policies import make_policy
 
 ENV = "armctl/ArmPush-v0"
+NOISY = Path(__file__).parents[2] / "examples" / "noisy_pushes.py"
 
 
 @pytest.mark.slow
@@ -58,3 +60,16 @@ def test_refuses_what_it_cannot_play(options):
         make_policy("push_line", make_worlds(ENV, 1, options))
     with pytest.raises(ConfigurationError, match="ArmPush"):
         make_policy("push_line", make_worlds("armctl/ArmReach-v0", 1, {}))
+
+
+def test_bad_pushes_have_noise_in_half_of_the_control_steps():
+    env = make_worlds(ENV, 4)
+    observations, _ = env.reset(seed=302)
+    expert, noisy = (make_policy(name, env, policy_seed=0) for name in ("push_line:memory=false", f"{NOISY}:make"))
+    for policy in (expert, noisy):
+        policy.reset(np.arange(4, dtype=np.int32))
+    commands = expert.act(observations)
+    noise = np.array([noisy.act(observations) - commands for _ in range(50)]).reshape(200, -1)
+    with_noise = noise.any(axis=1)
+    assert 80 < with_noise.sum() < 120
+    assert 0.045 < noise[with_noise].std() < 0.055
