@@ -44,7 +44,7 @@ def _lookahead(card: Path) -> Callable[[Any], Policy]:
 
 
 class Network(NamedTuple):
-    """How a network is tried."""
+    """Way in which a network is tried."""
 
     imagined: Callable[[Path], Callable[[Any], Policy]]
     env_options: dict[str, Any]
