@@ -1,6 +1,6 @@
-"""The experts on MotionBenchMaker's problems for a UR5, executed with dynamics, and the time that planning takes.
+"""The experts on MotionBenchMaker's problems for an arm, executed with dynamics, and the time that planning takes.
 
-    python benchmarks/motion_bench_maker.py [--policies reach_ompl,reach_mpc] [--seed 311] [--scenes box,cage]
+    python benchmarks/motion_bench_maker.py [--robot panda_open] [--policies reach_ompl,reach_mpc] [--scenes box,cage]
 
 Each policy plays all solvable problems of each scene once, in the order of the seed. Planning is `ArmPlanner` from the
 start to the target's pose with the options of `reach_ompl`: nearer to things after each failure, at most `PLANS` times,
@@ -20,40 +20,42 @@ from armctl.kinematics import ArmModel, MinimumTimePose
 from armctl.planning import ArmPlanner, ArmPlannerOptions
 from armctl.tasks import ReachScenesOptions
 from armctl.tasks.reach import read_boxes
-from armctl.tasks.reach.motion_bench_maker import ROBOT, scene_names, shipped_problems
+from armctl.tasks.reach.motion_bench_maker import ROBOTS, scene_names, shipped_problems
 
 ENV = "armctl/ArmScenes-v0"
 WORLDS, PLANS = 10, 6
 POLICIES = "reach_ompl,reach_mpc,reach_ik"
-PUBLISHED = (
-    "VAMP (resources/README.md at f6de6a7): RRT-Connect with simplification, to goals in joint positions, on an AMD "
-    "Ryzen 9 7950X: median 0.11 ms, 95th percentile 0.84 ms; 608 of 608 valid problems solved, of 700."
-)
+PUBLISHED = {
+    "ur5_robotiq85": "median 0.11 ms, 95th percentile 0.84 ms; 608 of 608 valid problems solved, of 700",
+    "panda_open": "median 0.10 ms, 95th percentile 0.44 ms; 699 of 699 valid problems solved, of 700",
+}
+"""VAMP, resources/README.md at f6de6a7: RRT-Connect with simplification, to goals in joint positions, on an AMD Ryzen 9
+7950X."""
 
 
-def main(policies: str = POLICIES, seed: int = 311, scenes: str = "all") -> None:
+def main(policies: str = POLICIES, seed: int = 311, scenes: str = "all", robot: str = ROBOTS[0]) -> None:
     """Play the same problems with each policy, plan them, and print a table."""
-    names, problems = policies.split(","), shipped_problems()
+    names, problems = policies.split(","), shipped_problems(robot)
     table = markdown_table("scene", "solvable", *(f"`{name}`" for name in names), "planned", "ms: median", "p95")
     wins, solvable, plans = np.zeros(len(names), dtype=int), 0, []
     for scene in scene_names(scenes):
         rows = problems.rows(scene, "all", solvable=True)
-        options = {"scenes": scene}
+        options = {"scenes": scene, "robot": robot}
         comparison = armctl.compare(names, ENV, episodes=len(rows), seed=seed, worlds=WORLDS, env_options=options)
         success = comparison.episodes.groupby("policy").success.sum()
         won = np.array([success[name] for name in names])
-        planned = list(planned_paths(rows))
+        planned = list(planned_paths(robot, rows))
         table.add_row(scene, f"{len(rows)} of 100", *(f"{n}" for n in won), *times(planned))
         wins, solvable, plans = wins + won, solvable + len(rows), plans + planned
     shares = (f"{n} ({n / solvable:.1%})" for n in wins)
     table.add_row("all", f"{solvable} of {100 * len(scene_names(scenes))}", *shares, *times(plans))
     show(table, width=200)
-    print(f"\narmctl {armctl.__version__}, seed {seed}. Published: {PUBLISHED}")
+    print(f"\narmctl {armctl.__version__}, seed {seed}. Published of VAMP's RRT-Connect: {PUBLISHED[robot]}.")
 
 
-def planned_paths(rows: np.ndarray) -> Iterator[tuple[bool, float]]:
+def planned_paths(robot: str, rows: np.ndarray) -> Iterator[tuple[bool, float]]:
     """Plan each of some problems, and yield whether there is a path, and the time, s."""
-    problems, model, task = shipped_problems(), ArmModel(ROBOT), ReachScenesOptions()
+    problems, model, task = shipped_problems(robot), ArmModel(robot), ReachScenesOptions()
     search = MinimumTimePose(model, task.lever)
     clearances, effort = planning(task)
     planners = [

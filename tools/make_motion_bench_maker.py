@@ -1,9 +1,10 @@
 """Makes the problems of MotionBenchMaker that come with armctl: `python tools/make_motion_bench_maker.py ARCHIVE`.
 
-ARCHIVE is `resources/ur5/problems.tar.bz2` of github.com/KavrakiLab/vamp. Boxes stay as they are, also the lid of the
-box, which is tilted by 45 degrees. An upright cylinder becomes a square prism with its axis, height and cross-section
-area, in the yaw of its file. Positions are in the world's frame, in which the arm's base is 0.9144 m high and turned by
-1.57 rad. The floor at z = 0 is armctl's.
+ARCHIVE is `resources/ur5/problems.tar.bz2` of github.com/KavrakiLab/vamp, or, with `--robot panda_open`,
+`resources/panda/problems.tar.bz2`. Boxes stay as they are, also the lid of the box, which is tilted by 45 degrees. An
+upright cylinder becomes a square prism with its axis, height and cross-section area, in the yaw of its file. Positions
+are in the world's frame, in which the UR5's base is 0.9144 m high and turned by 1.57 rad. The Panda and its scenes are
+raised by `RAISED`, as some of them are below its base. The floor at z = 0 is armctl's.
 
 A problem is feasible if the arm is free at the start, and `PathCertificate` finds a path from there to one of the
 configurations in the target's pose.
@@ -32,19 +33,27 @@ from armctl.kinematics.records import box_records
 from armctl.planning import PathCertificate
 from armctl.planning.path_certificate import PathCertificateOptions
 from armctl.scene import Boxes
-from armctl.tasks.reach.motion_bench_maker import PROBLEMS_FILE, ROBOT, SCENES, Problems, write_problems
+from armctl.tasks.reach.motion_bench_maker import (
+    ROBOTS,
+    SCENES,
+    Problems,
+    problems_file,
+    write_problems,
+)
 from armctl.tasks.reach.obstacles import read_boxes
 from armctl.tasks.reach.scenes import ReachScenesOptions
 
 UPRIGHT = 1e-6
 """Largest error of a rotation that is said to be one about the vertical after a tilt."""
 CERTIFICATE = PathCertificateOptions(clearance=0.002, checks=200_000)
+RAISED = {"ur5_robotiq85": 0.0, "panda_open": 0.6}
+"""m: height of the problems' world over the floor, by robot."""
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Start (dof,) and goal (dof,), rad, and boxes (k, `TILTED_BOX_NUMBERS`)."""
 
 
-def read_archive(path: Path, joints: tuple[str, ...]) -> dict[tuple[int, int], Problem]:
-    """Return the problems of an archive by scene and number, rounded as they are observed."""
+def read_archive(path: Path, joints: tuple[str, ...], raised: float = 0.0) -> dict[tuple[int, int], Problem]:
+    """Return the problems of an archive by scene and number, `raised` by some m, rounded as they are observed."""
     documents: dict[tuple[int, int], dict[str, Any]] = {}
     with tarfile.open(path) as archive:
         for member in archive.getmembers():
@@ -54,7 +63,8 @@ def read_archive(path: Path, joints: tuple[str, ...]) -> dict[tuple[int, int], P
                 document = yaml.load(file.read(), yaml.CSafeLoader)
                 documents.setdefault((SCENES.index(scene), int(number)), {})[kind] = document
     return {
-        key: (*request_of(pair["request"], joints), boxes_of(pair["scene"])) for key, pair in sorted(documents.items())
+        key: (*request_of(pair["request"], joints), boxes_of(pair["scene"], raised))
+        for key, pair in sorted(documents.items())
     }
 
 
@@ -67,8 +77,8 @@ def request_of(document: dict[str, Any], joints: tuple[str, ...]) -> tuple[np.nd
     return first, last
 
 
-def boxes_of(document: dict[str, Any]) -> np.ndarray:
-    """Return the objects of a scene as boxes (k, `TILTED_BOX_NUMBERS`)."""
+def boxes_of(document: dict[str, Any], raised: float = 0.0) -> np.ndarray:
+    """Return the objects of a scene, `raised` by some m, as boxes (k, `TILTED_BOX_NUMBERS`)."""
     rows = []
     for thing in document["world"]["collision_objects"]:
         (primitive,), (pose,) = thing["primitives"], thing["primitive_poses"]
@@ -81,7 +91,8 @@ def boxes_of(document: dict[str, Any]) -> np.ndarray:
             half_sizes = sizes / 2
         else:
             raise ValueError(f"{thing['id']} is a {primitive['type']}, not a box or a cylinder")
-        rows.append((*placement.translation, *half_sizes, *_yaw_and_tilt(placement.rotation)))
+        x, y, z = placement.translation
+        rows.append((x, y, z + raised, *half_sizes, *_yaw_and_tilt(placement.rotation)))
     return np.array(rows, dtype=np.float32)
 
 
@@ -100,24 +111,24 @@ def _yaw_and_tilt(rotation: np.ndarray) -> tuple[float, float]:
 
 
 @functools.cache
-def _tools() -> tuple[MinimumTimePose, PathCertificate, ArmShapes]:
-    model = ArmModel(ROBOT)
+def _tools(robot: str) -> tuple[MinimumTimePose, PathCertificate, ArmShapes]:
+    model = ArmModel(robot)
     search = MinimumTimePose(model, ReachScenesOptions().lever)
     return search, PathCertificate(model, CERTIFICATE), ArmShapes(model)
 
 
-def certified(problem: Problem) -> str:
+def certified(robot: str, problem: Problem) -> str:
     """Return "feasible", or the reason why a problem is not."""
-    search, certificate, shapes = _tools()
+    search, certificate, shapes = _tools(robot)
     start, goal = (q.astype(float) for q in problem[:2])
     boxes, model = read_boxes(problem[2], problem[2].shape[1]), search.model
     if touched := _contact(model, boxes, start):
         return f"start: {touched}"
-    free = search.at_centre(start, search.place(goal))
-    if len(certificate.path_to(free, start, boxes)):
+    goals = np.vstack((*search.at_centre(start, search.place(goal)), goal))
+    if len(certificate.path_to(goals, start, boxes)):
         return "feasible"
     checker = EdgeChecker(shapes, boxes, CERTIFICATE.clearance, start)
-    if any(checker.is_free(q) for q in free):
+    if any(checker.is_free(q) for q in goals):
         return "no path"
     return f"goal: {_contact(model, boxes, goal) or 'too near'}"
 
@@ -135,12 +146,18 @@ def _contact(model: ArmModel, boxes: Boxes, q: np.ndarray) -> str:
 
 
 def main(
-    archive: Path, out: Path = PROBLEMS_FILE, processes: Annotated[int, typer.Option(min=1)] = os.cpu_count() or 1
+    archive: Path,
+    robot: str = ROBOTS[0],
+    out: Path | None = None,
+    processes: Annotated[int, typer.Option(min=1)] = os.cpu_count() or 1,
 ) -> None:
     """Convert and certify an archive's problems, and write them."""
-    problems = read_archive(archive, ArmModel(ROBOT).description.joints)
+    out = out or problems_file(robot)
+    problems = read_archive(archive, ArmModel(robot).description.joints, RAISED[robot])
     with multiprocessing.get_context("spawn").Pool(processes) as workers:
-        verdicts = list(track(workers.imap(certified, problems.values(), 5), "problems", len(problems)))
+        verdicts = list(
+            track(workers.imap(functools.partial(certified, robot), problems.values(), 5), "problems", len(problems))
+        )
     scenes, numbers = np.array(list(problems), dtype=np.uint8).T
     starts, goals, boxes = zip(*problems.values(), strict=True)
     converted = Problems(

@@ -49,7 +49,7 @@ class SceneSolver:
     max_boxes = MAX_BOXES
 
     def __init__(self, arm: ArmDescription, options: ReachScenesOptions, seed: int) -> None:
-        self._model, self._problems = ArmModel(arm), shipped_problems()
+        self._model, self._problems = ArmModel(arm), shipped_problems(arm.name)
         self._search = MinimumTimePose(self._model, options.lever)
         self._rows = self._problems.rows(options.scenes, "training", solvable=True)
         self._tolerance, self._seed = INSIDE * options.tolerance, (seed + 1) * TRAINING_SEEDS

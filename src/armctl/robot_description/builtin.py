@@ -17,6 +17,8 @@ class BuiltinArm:
 
 MAX_ACCELERATION = 15.0
 """rad/s^2: default, as URDFs have no such limit; about what its effort allows a stretched-out UR5"""
+PANDA_ACCELERATIONS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
+"""rad/s^2: Franka Control Interface documentation, limits for the Panda"""
 
 _MODELS = resources.files("armctl.models")
 _UR_HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
@@ -46,7 +48,14 @@ BUILTIN_ARMS = {
         "panda_description/srdf/panda.srdf",
         "panda_hand_tcp",
         (0.0, -0.785398, 0.0, -2.35619, 0.0, 1.5707, 0.785398),
-        (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # Franka Control Interface documentation, limits for the Panda
+        PANDA_ACCELERATIONS,
+    ),
+    "panda_open": BuiltinArm(
+        str(_MODELS / "panda_open.urdf"),
+        str(_MODELS / "panda_open.srdf"),
+        "panda_hand_tcp",
+        (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),
+        PANDA_ACCELERATIONS,
     ),
     "xarm7": BuiltinArm(
         "xarm_description/urdf/xarm7.urdf",

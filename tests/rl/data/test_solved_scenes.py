@@ -10,7 +10,7 @@ from armctl.rl.data import solved_layouts
 from armctl.rl.data.followed_plans import FollowedPlans, Following, follow
 from armctl.rl.data.solved_scenes import ATTEMPTS, FREE, INSIDE, LARGEST_TURN, SceneSolver
 from armctl.tasks.reach import ReachScenesOptions, read_boxes
-from armctl.tasks.reach.motion_bench_maker import LAST_OF_TRAINING, ROBOT, shipped_problems
+from armctl.tasks.reach.motion_bench_maker import LAST_OF_TRAINING, ROBOTS, shipped_problems
 
 OPTIONS = ReachScenesOptions(scenes="box,table_under_pick")
 HOW = Following(
@@ -20,7 +20,7 @@ HOW = Following(
 
 @pytest.fixture(scope="module")
 def model():
-    return ArmModel(ROBOT)
+    return ArmModel(ROBOTS[0])
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +38,13 @@ def layouts(solver, tmp_path_factory):
 
 
 def test_only_training_problems_are_drawn(solver):
-    problems = shipped_problems()
+    problems = shipped_problems(ROBOTS[0])
     assert (problems.numbers[solver._rows] <= LAST_OF_TRAINING).all()
     assert problems.feasible[solver._rows].all()
 
 
 def test_a_scene_is_a_problem_turned_and_shifted_as_a_whole(solver, model, monkeypatch):
-    problems = shipped_problems()
+    problems = shipped_problems(ROBOTS[0])
     monkeypatch.setattr(solver, "_rows", solver._rows[5:6])
     row = solver._rows[0]
     start, target, boxes = solver._draw(np.random.default_rng(0))

@@ -19,10 +19,9 @@ from armctl.tasks import ReachOutcome, ReachScenesTask
 from armctl.tasks.reach import read_boxes
 from armctl.tasks.reach.motion_bench_maker import (
     MAX_BOXES,
-    PROBLEMS_FILE,
-    ROBOT,
+    ROBOTS,
     SCENES,
-    Problems,
+    problems_file,
     shipped_problems,
     write_problems,
 )
@@ -30,63 +29,65 @@ from armctl.tasks.reach.motion_bench_maker import (
 from ...capsule_world import CapsuleWorld
 
 ENV = "armctl/ArmScenes-v0"
-SHIPPED = shipped_problems()
+UR5, PANDA = ROBOTS
+SHIPPED = shipped_problems(UR5)
 SEED = 3
 
 
 @pytest.fixture(scope="module")
 def model():
-    return ArmModel(ROBOT)
-
-
-@pytest.fixture
-def search(model):
-    return MinimumTimePose(model, 0.02 / np.radians(10))
+    return ArmModel(UR5)
 
 
 def worlds(n, **options):
     return TaskVectorEnv(n, task=ReachScenesTask, **options)
 
 
-def row_of(scene, number):
-    return int(np.flatnonzero((SHIPPED.scenes == SCENES.index(scene)) & (SHIPPED.numbers == number))[0])
+def row_of(scene, number, problems=SHIPPED):
+    return int(np.flatnonzero((problems.scenes == SCENES.index(scene)) & (problems.numbers == number))[0])
 
 
-def boxes_of(row):
-    return read_boxes(SHIPPED.boxes[row], SHIPPED.boxes.shape[-1])
+def boxes_of(row, problems=SHIPPED):
+    return read_boxes(problems.boxes[row], problems.boxes.shape[-1])
 
 
 # The problems
 
 
-def test_there_are_a_hundred_problems_of_each_scene():
-    assert np.array_equal(np.bincount(SHIPPED.scenes), [100] * len(SCENES))
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_there_are_a_hundred_problems_of_each_scene(robot):
+    problems = shipped_problems(robot)
+    assert np.array_equal(np.bincount(problems.scenes), [100] * len(SCENES))
     for scene in range(len(SCENES)):
-        assert np.array_equal(SHIPPED.numbers[SHIPPED.scenes == scene], np.arange(1, 101))
-    assert SHIPPED.counts.max() == MAX_BOXES
+        assert np.array_equal(problems.numbers[problems.scenes == scene], np.arange(1, 101))
+    assert problems.counts.max() == MAX_BOXES
+    assert (problems.packed[:, 2] > 0).all()  # the floor is armctl's
 
 
-def test_problems_are_those_of_their_files(tmp_path, model):
+@pytest.mark.parametrize(("robot", "arm", "count"), [(UR5, "ur5", 3), (PANDA, "panda", 1)])
+def test_problems_are_those_of_their_files(tmp_path, robot, arm, count):
     documents = yaml.safe_load(Path(__file__).with_name("motion_bench_maker.yaml").read_text())
     with tarfile.open(tmp_path / "problems.tar.bz2", "w:bz2") as archive:
         for name, document in documents.items():
-            member, content = tarfile.TarInfo(name), yaml.safe_dump(document).encode()
-            member.size = len(content)
-            archive.addfile(member, io.BytesIO(content))
-    problems = make_motion_bench_maker.read_archive(tmp_path / "problems.tar.bz2", model.description.joints)
-    assert len(problems) == 3
+            if f"_{arm}/" in name:
+                member, content = tarfile.TarInfo(name), yaml.safe_dump(document).encode()
+                member.size = len(content)
+                archive.addfile(member, io.BytesIO(content))
+    model, shipped, raised = ArmModel(robot), shipped_problems(robot), make_motion_bench_maker.RAISED[robot]
+    problems = make_motion_bench_maker.read_archive(tmp_path / "problems.tar.bz2", model.description.joints, raised)
+    assert len(problems) == count
     for (scene, number), (start, goal, boxes) in problems.items():
-        row, name = row_of(SCENES[scene], number), f"problems/{SCENES[scene]}_ur5/"
-        np.testing.assert_array_equal((SHIPPED.starts[row], SHIPPED.goals[row]), (start, goal))
-        np.testing.assert_array_equal(SHIPPED.boxes[row, : len(boxes)], boxes)
-        assert SHIPPED.counts[row] == len(boxes)
+        row, name = row_of(SCENES[scene], number, shipped), f"problems/{SCENES[scene]}_{arm}/"
+        np.testing.assert_array_equal((shipped.starts[row], shipped.goals[row]), (start, goal))
+        np.testing.assert_array_equal(shipped.boxes[row, : len(boxes)], boxes)
+        assert shipped.counts[row] == len(boxes)
         objects = documents[f"{name}scene{number:04d}.yaml"]["world"]["collision_objects"]
         assert len(objects) == len(boxes)
         request = documents[f"{name}request{number:04d}.yaml"]
         for joint in request["goal_constraints"][0]["joint_constraints"]:
             place = model.description.joints.index(joint["joint_name"])
             assert goal[place] == pytest.approx(joint["position"], abs=1e-6)
-        np.testing.assert_allclose(start, request["start_state"]["joint_state"]["position"][:6], atol=1e-6)
+        np.testing.assert_allclose(start, request["start_state"]["joint_state"]["position"][: model.dof], atol=1e-6)
 
 
 def test_a_box_is_what_its_file_says_and_a_can_has_its_volume():
@@ -115,42 +116,52 @@ def test_a_scene_that_boxes_cannot_be_is_refused(change):
         make_motion_bench_maker.boxes_of({"world": {"collision_objects": [thing]}})
 
 
-def test_a_file_is_read_as_it_was_written_and_a_damaged_one_is_refused(tmp_path):
-    write_problems(SHIPPED, tmp_path / "again.npz")
-    assert (tmp_path / "again.npz").read_bytes() == PROBLEMS_FILE.read_bytes()
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_file_is_read_as_it_was_written(tmp_path, robot):
+    write_problems(shipped_problems(robot), tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == problems_file(robot).read_bytes()
+
+
+def test_problems_that_do_not_fit_together_are_refused():
     for change in (
         {"starts": SHIPPED.starts[:1]}, {"counts": SHIPPED.counts + np.uint8(30)}, {"packed": -SHIPPED.packed},
         {"scenes": SHIPPED.scenes + np.uint8(7)}, {"goals": np.full_like(SHIPPED.goals, np.nan)},
     ):  # fmt: skip
         with pytest.raises(ConfigurationError, match=r"should (be|have)|problems"):
             dataclasses.replace(SHIPPED, **change)
-    assert isinstance(SHIPPED, Problems)
 
 
 # What is certified
 
 
-def test_a_feasible_problem_is_free_at_its_start_and_within_the_limits(model):
-    for row in np.flatnonzero(SHIPPED.feasible)[::5]:
-        start, goal = (q[row].astype(float) for q in (SHIPPED.starts, SHIPPED.goals))
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_feasible_problem_is_free_at_its_start_and_within_the_limits(robot):
+    model, problems = ArmModel(robot), shipped_problems(robot)
+    for row in np.flatnonzero(problems.feasible)[::5]:
+        start, goal = (q[row].astype(float) for q in (problems.starts, problems.goals))
         assert model.within_limits(np.array((start, goal))).all()
-        assert model.among(boxes_of(row)).is_free(start)
+        assert model.among(boxes_of(row, problems)).is_free(start)
 
 
-@pytest.mark.parametrize(("scene", "number"), [("box", 1), ("cage", 2), ("table_under_pick", 3)])
-def test_certified_and_planned_paths_are_free_in_mujoco_and_end_in_the_pose(scene, number, model, search):
-    row = row_of(scene, number)
-    boxes, start, target = boxes_of(row), SHIPPED.starts[row].astype(float), search.place(SHIPPED.goals[row])
-    free = search.at_centre(start, target)
+@pytest.mark.parametrize(
+    ("robot", "scene", "number"),
+    [(UR5, "box", 1), (UR5, "cage", 2), (UR5, "table_under_pick", 3), (PANDA, "box", 1), (PANDA, "cage", 2)],
+)
+def test_certified_and_planned_paths_are_free_in_mujoco_and_end_in_the_pose(robot, scene, number):
+    model, problems = ArmModel(robot), shipped_problems(robot)
+    search, row = MinimumTimePose(model, 0.02 / np.radians(10)), row_of(scene, number, problems)
+    boxes, goal = boxes_of(row, problems), problems.goals[row].astype(float)
+    start, target = problems.starts[row].astype(float), search.place(goal)
+    free = np.vstack((*search.at_centre(start, target), goal))
     certified = PathCertificate(model, make_motion_bench_maker.CERTIFICATE).path_to(free, start, boxes)
     choice = ArmPlannerOptions(clearance=POSE_CLEARANCES[-1], **POSE_SEARCH)
     planned = ArmPlanner(model, choice, search).plan(start, target, 0.02, boxes).path
     world = CapsuleWorld(model, boxes)
     for path, radius in ((certified, 1e-4), (planned, 0.02)):
-        assert bool(len(path)) == SHIPPED.feasible[row]
+        assert bool(len(path)) == problems.feasible[row]
         if len(path):
             shares = np.linspace(0, 1, 40)[:, None, None]
-            points = (path[:-1] + shares * np.diff(path, axis=0)).reshape(-1, 6)
+            points = (path[:-1] + shares * np.diff(path, axis=0)).reshape(-1, model.dof)
             assert min(world.distance(q) for q in points) > 0
             assert np.linalg.norm(search.place(path[-1]) - target) <= radius
 
@@ -241,8 +252,7 @@ def test_a_seed_goes_through_all_problems_in_an_order_of_its_own():
         ({"scenes": 3}, "scenes"),
         ({"problems": "tset"}, "test"),
         ({"home": (0.0,) * 6}, "begins where its problem does"),
-        ({"robot": "ur5"}, "'ur5_robotiq85', not 'ur5'"),
-        ({"robot": "panda"}, "'ur5_robotiq85', not 'panda'"),
+        ({"robot": "ur5"}, "ur5_robotiq85 and panda_open, not for 'ur5'"),
         ({"goal": True}, "goal"),
         ({"scene": "box"}, "scenes"),
     ],
@@ -256,9 +266,16 @@ def test_other_options_are_refused(options, message):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("policy", "wins"), [("reach_ompl", 6), ("reach_ompl:prepared=false", 6), ("reach_mpc", 4)])
-def test_experts_reach_poses_among_boxes(policy, wins):
-    assert armctl.evaluate(policy, ENV, episodes=7, seed=SEED).success.sum() >= wins
+@pytest.mark.parametrize(
+    ("policy", "robot", "wins"),
+    [
+        ("reach_ompl", UR5, 6), ("reach_ompl:prepared=false", UR5, 6), ("reach_mpc", UR5, 4),
+        ("reach_ompl", PANDA, 6), ("reach_mpc", PANDA, 5),
+    ],
+)  # fmt: skip
+def test_experts_reach_poses_among_boxes(policy, robot, wins):
+    options = {"robot": robot}
+    assert armctl.evaluate(policy, ENV, episodes=7, seed=SEED, env_options=options).success.sum() >= wins
 
 
 def test_experts_of_positions_refuse_the_task():

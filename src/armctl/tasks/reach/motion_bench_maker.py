@@ -1,4 +1,4 @@
-"""MotionBenchMaker's problems for a UR5 with a gripper: seven scenes, in 100 variations each, which come with armctl.
+"""MotionBenchMaker's problems for two arms: seven scenes, in 100 variations each, which come with armctl.
 
 Chamzas et al., "MotionBenchMaker: a tool to generate and benchmark motion planning datasets", RA-L 7(2), 2022; as in
 VAMP's repository (Thomason, Kingston and Kavraki, "Motions in microseconds via vectorized sampling-based planning",
@@ -17,12 +17,12 @@ from armctl.core.errors import ConfigurationError, unknown_name
 from armctl.scene import TILTED_BOX_NUMBERS
 from armctl.tasks.reach.layout_pool import check_arrays, read_shipped, unpacked
 
-ROBOT = "ur5_robotiq85"
+ROBOTS = "ur5_robotiq85", "panda_open"
+"""The arms of the problems, with open grippers."""
 SCENES = (
     "bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage", "table_pick", "table_under_pick",
 )  # fmt: skip
 MAX_BOXES = 21
-PROBLEMS_FILE = Path(__file__).with_name("motion_bench_maker.npz")
 FORMAT = 1
 """Format number of the file."""
 Part = Literal["all", "training", "test"]
@@ -50,11 +50,11 @@ class Problems:
     """(k,) whether a path to the target's pose is certified."""
 
     def __post_init__(self) -> None:
-        k = len(self.feasible)
+        k, dof = len(self.feasible), self.starts.shape[-1]
         check_arrays(
             self,
-            scenes=(np.uint8, (k,)), numbers=(np.uint8, (k,)), starts=(np.float32, (k, 6)),
-            goals=(np.float32, (k, 6)), counts=(np.uint8, (k,)),
+            scenes=(np.uint8, (k,)), numbers=(np.uint8, (k,)), starts=(np.float32, (k, dof)),
+            goals=(np.float32, (k, dof)), counts=(np.uint8, (k,)),
             packed=(np.float32, (self.counts.sum(), TILTED_BOX_NUMBERS)), feasible=(np.bool_, (k,)),
         )  # fmt: skip
         if self.scenes.max(initial=0) >= len(SCENES) or self.counts.max(initial=0) > MAX_BOXES:
@@ -101,7 +101,17 @@ def write_problems(problems: Problems, path: Path) -> None:
     np.savez_compressed(path, allow_pickle=False, format=FORMAT, **values)
 
 
+def problems_file(robot: str) -> Path:
+    """Return the file of the problems for one of `ROBOTS`."""
+    return Path(__file__).with_name(f"motion_bench_maker_{robot}.npz")
+
+
 @functools.cache
-def shipped_problems() -> Problems:
-    """Return the problems that come with armctl. Raises `ConfigurationError` if their file is missing or damaged."""
-    return read_shipped(PROBLEMS_FILE, FORMAT, lambda values: Problems(**values))
+def shipped_problems(robot: str) -> Problems:
+    """Return the problems for a robot that come with armctl.
+
+    Raises `ConfigurationError` for a robot without problems, and if their file is missing or damaged.
+    """
+    if robot not in ROBOTS:
+        raise ConfigurationError(f"there are problems for the robots {' and '.join(ROBOTS)}, not for {robot!r}")
+    return read_shipped(problems_file(robot), FORMAT, lambda values: Problems(**values))

@@ -19,7 +19,7 @@ from armctl.robot_description import ArmDescription
 from armctl.robots.arm import build_arm_world
 from armctl.scene import TILTED_BOX_NUMBERS
 from armctl.tasks.reach.layout_pool import place_in_order
-from armctl.tasks.reach.motion_bench_maker import MAX_BOXES, ROBOT, SCENES, Part, scene_names, shipped_problems
+from armctl.tasks.reach.motion_bench_maker import MAX_BOXES, ROBOTS, SCENES, Part, scene_names, shipped_problems
 from armctl.tasks.reach.observation import HIDDEN
 from armctl.tasks.reach.obstacles import (
     BOXES,
@@ -60,8 +60,8 @@ class ScenesReachState(PoseReachState, ObstaclesReachState):
 class ReachScenesOptions(ReachPoseOptions, ReachObstaclesOptions):
     """Options of `armctl/ArmScenes-v0`. Raises `ConfigurationError` for invalid values."""
 
-    robot: str | Path | ArmDescription = ROBOT
-    """The arm of the problems, or the result of `armctl.load_arm` for it."""
+    robot: str | Path | ArmDescription = ROBOTS[0]
+    """`ur5_robotiq85` or `panda_open`, the arms of the problems, or the result of `armctl.load_arm` for one of them."""
     scenes: str = "all"
     """Names of scenes, with commas: bookshelf_small, bookshelf_tall, bookshelf_thin, box, cage, table_pick,
     table_under_pick; or all."""
@@ -106,10 +106,8 @@ class ReachScenesTask(ReachPoseTask, ReachObstaclesTask):
 
     def __init__(self, n: int, options: ReachScenesOptions, threads: int = 0) -> None:
         super().__init__(n, options, threads)
-        if (name := self.arm.description.name) != ROBOT:
-            raise ConfigurationError(f"the problems are for the robot {ROBOT!r}, not {name!r}")
         self.simulation.model.camera(self.camera).pos[2] += self._workspace.centre[2]
-        self._problems = shipped_problems()
+        self._problems = shipped_problems(self.arm.description.name)
         self._rows = self._problems.rows(options.scenes, options.problems, options.solvable)
         self._episode_rows = np.zeros(n, dtype=np.intp)
 
