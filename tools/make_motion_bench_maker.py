@@ -124,7 +124,7 @@ def certified(robot: str, problem: Problem) -> str:
     boxes, model = read_boxes(problem[2], problem[2].shape[1]), search.model
     if touched := _contact(model, boxes, start):
         return f"start: {touched}"
-    goals = np.vstack((*search.at_centre(start, search.place(goal)), goal))
+    goals = np.vstack((goal, *search.at_centre(start, search.place(goal))))
     if len(certificate.path_to(goals, start, boxes)):
         return "feasible"
     checker = EdgeChecker(shapes, boxes, CERTIFICATE.clearance, start)

@@ -112,18 +112,19 @@ def test_numeric_solver_solves_poses_from_anywhere(make, count):
 
 
 @pytest.mark.one_case
-@pytest.mark.parametrize("robot", ["xarm7", "panda"])
-def test_arms_with_seven_joints_have_all_solutions_of_ssik(robot):
-    model = ArmModel(robot)
+@pytest.mark.parametrize(("robot", "on_floor"), [("xarm7", "xarm7"), ("panda", "panda"), ("panda_open", "panda")])
+def test_arms_with_seven_joints_have_all_solutions_of_ssik(robot, on_floor):
+    model, unmounted = ArmModel(robot), ArmModel(on_floor)
     ik, arm, missing = Ik(model), closed_forms._ssik(closed_forms.PREBUILT[model.description.name]), []
     assert getattr(closed_forms._branches(arm), "func", None) is closed_forms._compiled_branches
-    from_tip = np.linalg.inv(model.pose(model.home)) @ arm.fk(model.home)
+    from_tip = np.linalg.inv(unmounted.pose(model.home)) @ arm.fk(model.home)
+    to_floor = unmounted.pose(model.home) @ np.linalg.inv(model.pose(model.home))
     for q in model.random_configurations(np.random.default_rng(0), 60):
         target = model.pose(q)
         result = ik.pose(target)
         assert result.residuals.max() < 1e-9
         check_solutions(model, result, model.home, lambda x, target=target: pose_residual(model, x, target))
-        for expected in arm.solve(target @ from_tip, enumerate_windings=False):
+        for expected in arm.solve(to_floor @ target @ from_tip, enumerate_windings=False):
             turns = (result.solutions - expected.q + np.pi) % (2 * np.pi) - np.pi
             missing.append(np.abs(turns).max(axis=1).min() > 5e-3)
     assert (len(missing) >= 60 * 8, np.mean(missing) <= 0.005) == (True, True)

@@ -23,7 +23,7 @@ from armctl.kinematics.model import ArmModel
 ClosedForm = Callable[[Array], tuple[Array, NDArray[np.bool_]]]
 """Function of a pose (4, 4) that gives configurations (k, dof), and whether each is an approximation, (k,)."""
 
-PREBUILT = {"panda": "franka_panda", "UF_ROBOT": "xarm7"}
+PREBUILT = {"panda": "franka_panda", "panda_open": "franka_panda", "UF_ROBOT": "xarm7"}
 """Robots that ssik knows, by the names in their URDF files."""
 SAME = 1e-9
 """m: largest difference between two models of one arm."""
@@ -61,14 +61,15 @@ def seven_joints(model: ArmModel) -> ClosedForm | None:
     solver = _ssik(name) if name else None
     if solver is None or solver.dof != model.dof or model.description.followers:
         return None
-    to_tip = np.linalg.inv(solver.fk(model.home)) @ model.pose(model.home)
+    mount = model.pinocchio.jointPlacements[1].homogeneous @ np.linalg.inv(solver.kinbody.joints[0].T_left)
+    to_tip = np.linalg.inv(mount @ solver.fk(model.home)) @ model.pose(model.home)
     samples = model.random_configurations(np.random.default_rng(0), 20)
-    if max(np.abs(solver.fk(q) @ to_tip - model.pose(q)).max() for q in samples) > SAME:
+    if max(np.abs(mount @ solver.fk(q) @ to_tip - model.pose(q)).max() for q in samples) > SAME:
         return None
-    from_tip, branches = np.linalg.inv(to_tip), _branches(solver)
+    from_mount, from_tip, branches = np.linalg.inv(mount), np.linalg.inv(to_tip), _branches(solver)
 
     def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
-        solutions = branches(pose @ from_tip)
+        solutions = branches(from_mount @ pose @ from_tip)
         kernel.refine(model.joints, pose, solutions)
         return solutions, np.zeros(len(solutions), dtype=bool)
 

@@ -85,6 +85,9 @@ def connect(address: str, workers: int = 1) -> Engine:
 
 
 MAX_WORKERS = 1_000
+LARGEST_GROWTH = 2 * 10**9
+"""Bytes by which a process grows until loky replaces it, so that it makes its policies and worlds anew. Those of a cell
+take more than loky's 300 MB."""
 
 
 class Local(Engine):
@@ -101,13 +104,13 @@ class Local(Engine):
         """Yield results; see `Engine`. Workers can use all that this process has imported or has in memory."""
         import joblib  # a tenth of a second, which a single process does not need
 
-        # loky replaces workers that have grown by 300 MB
+        # loky replaces workers that have grown
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
         parallel = joblib.Parallel(
             self.workers,
             backend="loky",
             return_as="generator_unordered",
-            initializer=end_with_parent,
+            initializer=_begin_worker,
             initargs=(os.getpid(),),
         )
         try:
@@ -115,6 +118,13 @@ class Local(Engine):
                 yield from results
         except BrokenProcessPool as error:
             raise WorkersFailed(f"a worker process died, or could not load what it was sent: {error}") from error
+
+
+def _begin_worker(parent: int) -> None:
+    from joblib.externals.loky import process_executor
+
+    process_executor._MAX_MEMORY_LEAK_SIZE = LARGEST_GROWTH
+    end_with_parent(parent)
 
 
 class Cluster(Engine):
