@@ -85,9 +85,9 @@ def connect(address: str, workers: int = 1) -> Engine:
 
 
 MAX_WORKERS = 1_000
-LARGEST_GROWTH = 2 * 10**9
-"""Bytes by which a process grows until loky replaces it, so that it makes its policies and worlds anew. Those of a cell
-take more than loky's 300 MB."""
+SHARE_OF_MEMORY, LEAST_GROWTH = 0.25, 300 * 10**6
+"""Share of this machine's memory by which all workers grow, and bytes of one at least, until loky replaces it. A new
+one makes its policies and worlds anew, and those of a cell take more than loky's default, 300 MB."""
 
 
 class Local(Engine):
@@ -111,7 +111,7 @@ class Local(Engine):
             backend="loky",
             return_as="generator_unordered",
             initializer=_begin_worker,
-            initargs=(os.getpid(),),
+            initargs=(os.getpid(), largest_growth(self.workers)),
         )
         try:
             with contextlib.closing(parallel(joblib.delayed(work)(shared, *unit) for unit in units)) as results:
@@ -120,10 +120,16 @@ class Local(Engine):
             raise WorkersFailed(f"a worker process died, or could not load what it was sent: {error}") from error
 
 
-def _begin_worker(parent: int) -> None:
+def largest_growth(workers: int) -> int:
+    """Return the bytes by which each of so many workers may grow."""
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return max(LEAST_GROWTH, int(SHARE_OF_MEMORY * memory / workers))
+
+
+def _begin_worker(parent: int, growth: int) -> None:
     from joblib.externals.loky import process_executor
 
-    process_executor._MAX_MEMORY_LEAK_SIZE = LARGEST_GROWTH
+    process_executor._MAX_MEMORY_LEAK_SIZE = growth
     end_with_parent(parent)
 
 
