@@ -7,6 +7,7 @@ import shapely
 from scipy.sparse.csgraph import dijkstra
 
 from armctl.core.errors import ConfigurationError
+from armctl.kernels.bridge import measure_neighborhoods
 from armctl.planning import PathPlannerOptions, plan_path
 from armctl.planning.bridge_planner import _by_ompl, _march
 from armctl.scene import BridgeMap, PedestrianTrajectories
@@ -99,6 +100,19 @@ def test_the_compiled_search_finds_the_path_of_ompls(shape):
         np.testing.assert_array_equal(path, _by_ompl(bridge, points, GOAL_X, 0.3)[0])
         solved += len(path) > 0
     assert solved >= 3
+
+
+@pytest.mark.parametrize("on_grid", [False, True])
+def test_reach_is_the_distance_of_the_last_neighbour(on_grid):
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        n, neighbors = rng.integers(1, 80, 2).tolist()
+        points = rng.integers(0, 4, (n, 2)).astype(float) if on_grid else rng.random((n, 2)) * (10, 2)
+        distances, reach = np.empty((n, n)), np.empty(n)
+        measure_neighborhoods(points, neighbors, distances, reach)
+        np.testing.assert_allclose(distances, np.linalg.norm(points[:, None] - points, axis=-1), rtol=1e-12)
+        last = np.sort(distances)[:, neighbors - 1] if neighbors <= n else np.full(n, np.inf)
+        np.testing.assert_array_equal(reach, last)
 
 
 def test_an_empty_bridge_is_crossed_straight():

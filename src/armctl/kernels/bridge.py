@@ -12,6 +12,8 @@ from armctl.kernels.compiling import compiled, copy_to
 
 LESS = 1e-6
 """m: what a change of a path must save."""
+WIDER = 1.5
+"""Factor of a point's reach within which that of the next one is looked for first."""
 UNVISITED, OPEN, CLOSED = 0, 1, 2
 """States of points in a search."""
 
@@ -140,6 +142,58 @@ def best_parent(x, open_points, distances, costs, reach):
         if edge <= reach[x] and (cost < min_cost or (cost == min_cost and edge < distances[x, parent])):
             parent, min_cost = y, cost
     return parent, min_cost
+
+
+@compiled
+def measure_neighborhoods(points, neighbors, distances, reach):
+    """Write `distances` (n, n) m between points (n, 2), and the `reach` (n,) m in which each has so many `neighbors`.
+
+    A point is the first of them itself. Where there are not so many points, the reach is infinite.
+    """
+    n = len(points)
+    for i in range(n):
+        for j in range(i + 1):
+            x, y = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
+            distances[i, j] = distances[j, i] = math.sqrt(x * x + y * y)
+    reach[:] = np.inf
+    if neighbors > n:
+        return
+    near, within = np.empty(n), np.inf
+    for i in range(n):
+        count = 0
+        while count < neighbors:
+            count = 0
+            for j in range(n):
+                if distances[i, j] <= within:
+                    near[count] = distances[i, j]
+                    count += 1
+            within = np.inf
+        reach[i] = smallest(near[:count], neighbors - 1)
+        within = WIDER * reach[i]
+
+
+@compiled
+def smallest(numbers, place):
+    """Return the number that would be at a `place` if `numbers` (n,) were sorted; they change places."""
+    low, high = 0, len(numbers) - 1
+    while low < high:
+        pivot, i, j = numbers[(low + high) // 2], low, high
+        while i <= j:
+            while numbers[i] < pivot:
+                i += 1
+            while numbers[j] > pivot:
+                j -= 1
+            if i <= j:
+                numbers[i], numbers[j] = numbers[j], numbers[i]
+                i += 1
+                j -= 1
+        if place <= j:
+            high = j
+        elif place >= i:
+            low = i
+        else:
+            break
+    return numbers[place]
 
 
 @compiled

@@ -206,4 +206,5 @@ class EdgeChecker:
 
 
 def _off_axis(point: Array, axis: Array) -> float:
-    return float(np.linalg.norm(np.cross(axis, point)))
+    (a, b, c), (x, y, z) = axis, point
+    return float(np.linalg.norm((b * z - c * y, c * x - a * z, a * y - b * x)))  # np.cross takes six times as long

@@ -195,11 +195,8 @@ def _by_ompl(bridge: BridgeMap, points: Array, goal_x: float, clearance: float) 
 def _march(bridge: BridgeMap, points: Array, goal_x: float, clearance: float) -> Array:
     """Return the path that `_by_ompl` returns, compiled."""
     neighbors = math.ceil((2 * RADIUS_MULTIPLIER) ** 2 * (math.e / 2) * math.log(len(points)))
-    (x, y), reach = points.T.copy(), np.full(len(points), np.inf)
-    x, y = x[:, None] - x, y[:, None] - y
-    distances = np.sqrt(x * x + y * y)
-    if neighbors <= len(points):
-        reach = np.partition(distances, neighbors - 1)[:, neighbors - 1]  # a point is the first of its neighbours
+    distances, reach = np.empty((len(points), len(points))), np.empty(len(points))
+    kernel.measure_neighborhoods(points, neighbors, distances, reach)
     parents = np.empty(len(points), dtype=np.int64)
     last = kernel.march((*bridge.deck, clearance), points, goal_x, distances, reach, parents)
     indices = [last] if last >= 0 else []
