@@ -1,4 +1,4 @@
-"""What the network of `scenes_imagined` is worth: the same search with moves straight towards its nearest goal."""
+"""Plays `scenes_imagined` without its network: the same search with moves straight towards its nearest goal."""
 
 from functools import partial
 from typing import Any
@@ -61,7 +61,7 @@ def straight(env: Any) -> PerWorld:
 
 def main() -> None:
     """Print how often it reaches the target."""
-    played = armctl.compare(
+    comparison = armctl.compare(
         [straight],
         "armctl/ArmScenes-v0",
         episodes=EPISODES,
@@ -69,7 +69,7 @@ def main() -> None:
         worlds=50,
         env_options={"problems": "test"},
     )
-    success = played.policies[0].success
+    success = comparison.policies[0].success
     print(f"{100 * success.value:.1f} % of {EPISODES} [{100 * success.low:.1f}, {100 * success.high:.1f}]")
 
 

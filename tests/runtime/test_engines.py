@@ -1,7 +1,6 @@
 """Comparisons on clusters that are really there: of Ray with two nodes, and of Dask with two workers."""
 
 import contextlib
-import os
 import shutil
 import socket
 import subprocess
@@ -347,19 +346,3 @@ def test_a_missing_engine_is_named_with_its_extra(engine, module, monkeypatch):
 def test_an_engine_of_this_machine_is_the_default():
     assert isinstance(connect("local", 3), Local)
     assert connect("local", 3).workers == 3
-
-
-def test_a_process_that_grows_by_what_policies_take_is_kept(monkeypatch):
-    monkeypatch.setattr(engines, "LEAST_GROWTH", 2 * 10**9)
-
-    def grow(_: None, megabytes: int) -> int:
-        vars(os).setdefault("kept", []).append(b"x" * 10**6 * megabytes)
-        time.sleep(1.1)  # loky looks once a second
-        return os.getpid()
-
-    assert len(set(Local(2).run(grow, None, [(200,)] * 8))) == 2
-
-
-def test_growth_is_a_share_of_memory_for_each_worker():
-    assert engines.largest_growth(1) == pytest.approx(2 * engines.largest_growth(2), abs=1)
-    assert engines.largest_growth(10**6) == engines.LEAST_GROWTH

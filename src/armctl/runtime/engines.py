@@ -85,7 +85,7 @@ def connect(address: str, workers: int = 1) -> Engine:
 
 
 MAX_WORKERS = 1_000
-SHARE_OF_MEMORY, LEAST_GROWTH = 0.25, 300 * 10**6
+SHARE_OF_MEMORY, MIN_GROWTH = 0.25, 300 * 10**6
 """Share of this machine's memory by which all workers grow, and bytes of one at least, until loky replaces it. A new
 one makes its policies and worlds anew, and those of a cell take more than loky's default, 300 MB."""
 
@@ -123,7 +123,7 @@ class Local(Engine):
 def largest_growth(workers: int) -> int:
     """Return the bytes by which each of so many workers may grow."""
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return max(LEAST_GROWTH, int(SHARE_OF_MEMORY * memory / workers))
+    return max(MIN_GROWTH, int(SHARE_OF_MEMORY * memory / workers))
 
 
 def _begin_worker(parent: int, growth: int) -> None:
