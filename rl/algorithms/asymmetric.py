@@ -17,7 +17,6 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtr
 from armctl.agents import INPUT, inputs
 from armctl.core.errors import ConfigurationError
 from armctl.rl.networks.onnx_graph import observation_of
-from armctl.rl.networks.view import View
 from armctl.rl.run.vector import EncodedVectorEnv
 
 STATE = "privileged_state"
@@ -25,7 +24,11 @@ STATE = "privileged_state"
 
 
 class AsymmetricVectorEnv(EncodedVectorEnv):
-    """Worlds that show the state beside the observation. Raises `ConfigurationError` for tasks that do not say it."""
+    """Worlds that show the state's features beside the observation: the view's, or its numbers as shares of bounds.
+
+    They are without weights, so that they are computed once. Raises `ConfigurationError` for features with weights, and
+    for tasks that do not say their state.
+    """
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -36,18 +39,19 @@ class AsymmetricVectorEnv(EncodedVectorEnv):
                 f"a privileged critic sees the state, which {type(self._task).__name__} does not say (state_space): "
                 "leave privileged_critic out"
             )
-        self._final = np.zeros((self.num_envs, *self._task.state_space.shape), dtype=np.float32)
+        space, features = self._task.state_space, self.view.state_features
+        self._features = Shares(space) if features is None else features(space)
+        if any(True for _ in self._features.parameters()):
+            raise ConfigurationError(f"{type(self._features).__name__}: features of states are without weights")
+        self._final = np.zeros((self.num_envs, *space.shape), dtype=np.float32)
         envs.observers.append(self)
-        self.observation_space = gymnasium.spaces.Dict({**inputs(self.encoder.space), STATE: self._task.state_space})
+        shown = gymnasium.spaces.Box(-np.inf, np.inf, (self._features.features_dim,), np.float32)
+        self.observation_space = gymnasium.spaces.Dict({**inputs(self.encoder.space), STATE: shown})
 
     @property
     def policy_class(self) -> Any:
         """Policy of an actor of the observation, and a critic of the state."""
         return AsymmetricPolicy
-
-    def policy_kwargs(self, view: View) -> dict[str, Any]:
-        """Return the arguments of that policy."""
-        return {"view": view, **super().policy_kwargs(view)}
 
     def began(self, ids: NDArray[np.int32]) -> None:
         """Do nothing: the states of worlds that have begun an episode are read when they are shown."""
@@ -58,24 +62,29 @@ class AsymmetricVectorEnv(EncodedVectorEnv):
 
     def reset(self) -> Any:
         """Start new episodes in all worlds."""
-        return _beside(super().reset(), self._task.state_observation())
+        return self._beside(super().reset(), self._task.state_observation())
 
     def step_wait(self) -> Any:
         """Step all worlds."""
         observations, rewards, done, infos = super().step_wait()
         for i in np.flatnonzero(done):
-            infos[i]["terminal_observation"] = _beside(infos[i]["terminal_observation"], self._final[i])
-        return _beside(observations, self._task.state_observation()), rewards, done, infos
+            last = self._beside(infos[i]["terminal_observation"], self._final[i : i + 1])
+            infos[i]["terminal_observation"] = {**last, STATE: last[STATE][0]}
+        return self._beside(observations, self._task.state_observation()), rewards, done, infos
+
+    def _beside(self, observations: Any, states: NDArray[np.float32]) -> dict[str, Any]:
+        parts = observations if isinstance(observations, dict) else {INPUT: observations}
+        with torch.no_grad():
+            return {**parts, STATE: self._features(torch.as_tensor(states)).numpy()}
 
 
 class AsymmetricPolicy(MultiInputActorCriticPolicy):
     """An actor of the observation, and a critic of the state beside it."""
 
     def __init__(
-        self, *args: Any, view: View, features_extractor_class: Any, features_extractor_kwargs: Any, **kwargs: Any
+        self, *args: Any, features_extractor_class: Any, features_extractor_kwargs: Any, **kwargs: Any
     ) -> None:
-        self._view_parameters = {
-            "view": view,
+        self._observed = {
             "features_extractor_class": features_extractor_class,
             "features_extractor_kwargs": features_extractor_kwargs,
         }
@@ -96,12 +105,12 @@ class AsymmetricPolicy(MultiInputActorCriticPolicy):
     def _build_mlp_extractor(self) -> None:
         """Give the critic its own features: they have another size than the actor's."""
         super()._build_mlp_extractor()
-        self.vf_features_extractor = StateFeatures(self.observation_space, self._view_parameters["view"])
+        self.vf_features_extractor = StateFeatures(self.observation_space)
         critic = MlpExtractor(self.vf_features_extractor.features_dim, self.net_arch, self.activation_fn, self.device)
         self.mlp_extractor.value_net = critic.value_net
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {**super()._get_constructor_parameters(), **self._view_parameters}
+        return {**super()._get_constructor_parameters(), **self._observed}
 
 
 class ObservedFeatures(BaseFeaturesExtractor):
@@ -122,17 +131,14 @@ class ObservedFeatures(BaseFeaturesExtractor):
 
 
 class StateFeatures(BaseFeaturesExtractor):
-    """A view's features of the state, or without any its numbers as shares of their bounds."""
+    """The state's features, which the worlds show."""
 
-    def __init__(self, observation_space: gymnasium.spaces.Dict, view: View) -> None:
-        space = observation_space[STATE]
-        features = Shares(space) if view.state_features is None else view.state_features(space)
-        super().__init__(observation_space, features.features_dim)
-        self.features = features
+    def __init__(self, observation_space: gymnasium.spaces.Dict) -> None:
+        super().__init__(observation_space, observation_space[STATE].shape[0])  # type: ignore[index]
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features (n, k)."""
-        return self.features(observations[STATE])
+        return observations[STATE]
 
 
 class Shares(BaseFeaturesExtractor):
@@ -146,8 +152,3 @@ class Shares(BaseFeaturesExtractor):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return shares (n, k) of numbers (n, k)."""
         return self.scale * observations
-
-
-def _beside(observations: Any, state: NDArray[np.float32]) -> dict[str, Any]:
-    parts = observations if isinstance(observations, dict) else {INPUT: observations}
-    return {**parts, STATE: state}

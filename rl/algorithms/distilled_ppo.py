@@ -48,7 +48,7 @@ def train(training: Training, options: DistilledPpoOptions) -> AgentCard:
         envs, view = training.envs, training.view
         encoder = FrozenRecurrentEncoder(sizes, weights, view, envs.single_observation_space)
         kind = AsymmetricVectorEnv if options.privileged_critic else EncodedVectorEnv
-        return kind(encoder, envs, view.action_scale)
+        return kind(encoder, envs, view)
 
     def start(model: AnchoredPpo) -> None:
         head = model.env.encoder.network.head

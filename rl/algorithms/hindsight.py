@@ -66,9 +66,10 @@ class GoalVectorEnv(EncodedVectorEnv):
             infos[i]["terminal_observation"] = split(infos[i]["terminal_observation"])
         return split(observations), rewards, done, infos
 
-    def policy_kwargs(self, view: View) -> dict[str, Any]:
-        """Return the arguments of a policy for the features of observations and goals."""
-        return {"features_extractor_class": GoalFeatures, "features_extractor_kwargs": {"view": view}}
+    @property
+    def policy_kwargs(self) -> dict[str, Any]:
+        """Arguments of a policy for the features of observations and goals."""
+        return {"features_extractor_class": GoalFeatures, "features_extractor_kwargs": {"view": self.view}}
 
     def compute_reward(self, achieved: NDArray[np.floating[Any]], desired: NDArray[np.floating[Any]]) -> Any:
         """Return the scaled reward (n,) of steps that end at `achieved` (n, 3), for targets `desired` (n, 3)."""

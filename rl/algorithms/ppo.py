@@ -15,7 +15,6 @@ from armctl.core.options import Count, NonNegative, Positive, Share, options
 from armctl.rl.algorithms.asymmetric import AsymmetricVectorEnv
 from armctl.rl.algorithms.sb3_training import decaying, learn
 from armctl.rl.networks.actor import Actor
-from armctl.rl.networks.view import View
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
@@ -63,10 +62,7 @@ def load_or_make(
 ) -> Any:
     """Load the model of the newest checkpoint, or make an untrained one, of a `kind` of PPO."""
     vec_env, newest = make_vec_env(), training.newest_checkpoint()
-    if newest is None:
-        model = new_model(vec_env, training.view, options, training.seed, kind)
-    else:
-        model = kind.load(newest, vec_env, "cpu")
+    model = new_model(vec_env, options, training.seed, kind) if newest is None else kind.load(newest, vec_env, "cpu")
     training.meter.watch(model.policy.optimizer)
     return model
 
@@ -77,9 +73,7 @@ def vec_env_for(training: Training, options: PpoOptions) -> StableBaselinesVecto
     return vec_env_of(training.envs, training.view, options, kind)
 
 
-def new_model(
-    vec_env: StableBaselinesVectorEnv, view: View, options: PpoOptions, seed: int, kind: type[PPO] = PPO
-) -> PPO:
+def new_model(vec_env: StableBaselinesVectorEnv, options: PpoOptions, seed: int, kind: type[PPO] = PPO) -> PPO:
     """Make an untrained model of a `kind` of PPO."""
     return kind(
         vec_env.policy_class,
@@ -93,7 +87,7 @@ def new_model(
         clip_range=options.clip_range,
         ent_coef=options.entropy,
         policy_kwargs={
-            **vec_env.policy_kwargs(view),
+            **vec_env.policy_kwargs,
             "net_arch": [options.hidden_units] * options.layers,
             "activation_fn": ACTIVATIONS[options.activation],
             "log_std_init": options.initial_log_std,

@@ -138,7 +138,7 @@ def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: S
         replay_buffer_class=HindsightBuffer if goals else None,
         replay_buffer_kwargs={"n_sampled_goal": options.relabelled} if goals else None,
         policy_kwargs={
-            **vec_env.policy_kwargs(training.view),
+            **vec_env.policy_kwargs,
             "net_arch": [options.hidden_units] * options.layers,
         },
         seed=training.seed,

@@ -126,7 +126,7 @@ class Learning:
         self.training, self.options, self.steps = training, options, 0
         torch.manual_seed(training.seed)
         self._envs = vec_env_of(training.envs, training.view, options)
-        sight = self._envs.policy_kwargs(training.view)
+        sight = self._envs.policy_kwargs
         self.model = WorldModel(
             sight["features_extractor_class"](self._envs.observation_space, **sight["features_extractor_kwargs"]),
             self._envs.action_space.shape[0],

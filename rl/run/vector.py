@@ -23,19 +23,21 @@ from armctl.rl.run.training import Training
 class StableBaselinesVectorEnv(VecEnv):
     """Actions in [-1, 1], which a view's `action_scale` turns into the environment's."""
 
-    def __init__(self, env: Metered, action_scale: torch.nn.Module) -> None:
+    def __init__(self, env: Metered, view: View) -> None:
         super().__init__(env)
         self.action_space = gymnasium.spaces.Box(-1, 1, env.single_action_space.shape)
-        self._action_scale: Any = action_scale
+        self.view = view
+        self._action_scale: Any = view.action_scale
 
     @property
     def policy_class(self) -> Any:
         """Stable-Baselines3's policy, or its name, for what the worlds show: one array, or several by name."""
         return "MultiInputPolicy" if isinstance(self.observation_space, gymnasium.spaces.Dict) else "MlpPolicy"
 
-    def policy_kwargs(self, view: View) -> dict[str, Any]:
-        """Return the arguments of that policy for the features of what the worlds show."""
-        return {"features_extractor_class": view.features, "features_extractor_kwargs": view.features_options}
+    @property
+    def policy_kwargs(self) -> dict[str, Any]:
+        """Arguments of that policy for the features of what the worlds show."""
+        return {"features_extractor_class": self.view.features, "features_extractor_kwargs": self.view.features_options}
 
     def actor(self, network: torch.nn.Module, training: Training) -> Actor:
         """Return an actor for a training's held-out worlds, with a network of what these worlds show."""
@@ -84,9 +86,10 @@ class EncodedVectorEnv(StableBaselinesVectorEnv):
             self._memory = [part.index_fill(0, torch.as_tensor(done_ids), 0.0) for part in self._memory]
         return self._encoded(observations), rewards, done, infos
 
-    def policy_kwargs(self, view: View) -> dict[str, Any]:
-        """Return the arguments of a policy for the features of encoded observations."""
-        return self.encoder.features(view)
+    @property
+    def policy_kwargs(self) -> dict[str, Any]:
+        """Arguments of a policy for the features of encoded observations."""
+        return self.encoder.features(self.view)
 
     def actor(self, network: torch.nn.Module, training: Training) -> Actor:
         """Return an actor for a training's held-out worlds, with a network of encoded observations."""
@@ -106,6 +109,6 @@ def vec_env_of(
     space = envs.single_observation_space
     shows_features = kind.takes_features and view.has_fixed_features(space)
     if kind is EncodedVectorEnv and options.frames == 1 and view.prepare is None and not shows_features:
-        return StableBaselinesVectorEnv(envs, view.action_scale)
+        return StableBaselinesVectorEnv(envs, view)
     encoder = (FeatureHistory if shows_features else History)(view, space, options.frames, options.frame_gap)
-    return kind(encoder, envs, view.action_scale)
+    return kind(encoder, envs, view)

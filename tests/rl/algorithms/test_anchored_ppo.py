@@ -21,7 +21,7 @@ OPTIONS = ClonedPpoOptions(worlds=16, rollout_length=16, batch_size=64, hidden_u
 def model():
     worlds = make_worlds("armctl/ArmReach-v0", 16, {"reward_scale": 0.02}, autoreset_mode="same_step")
     view, shaped = view_of(worlds), Shaped(worlds, "distance", gamma=OPTIONS.gamma, scale=120.0)
-    made = new_model(StableBaselinesVectorEnv(shaped, view.action_scale), view, OPTIONS, 0, AnchoredPpo)
+    made = new_model(StableBaselinesVectorEnv(shaped, view), OPTIONS, 0, AnchoredPpo)
     yield made
     worlds.close()
 

@@ -33,7 +33,7 @@ def model(request):
 def worlds_that_show(kind, n, frames):
     env = TaskVectorEnv(n, task=ReachTask, autoreset_mode="same_step", max_episode_steps=30, reward_scale=SCALE)
     view = view_of(env)
-    venv = kind(History(view, env.single_observation_space, frames), env, view.action_scale)
+    venv = kind(History(view, env.single_observation_space, frames), env, view)
     venv.seed(0)
     return venv
 

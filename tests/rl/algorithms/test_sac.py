@@ -47,7 +47,7 @@ def trained(tmp_path_factory):
 def checkpoint(out, steps):
     env = TaskVectorEnv(8, task=ReachTask, autoreset_mode="same_step")
     view = view_of(env)
-    goals = GoalVectorEnv(History(view, env.single_observation_space, 2), env, view.action_scale)
+    goals = GoalVectorEnv(History(view, env.single_observation_space, 2), env, view)
     return SAC.load(out / "checkpoints" / f"{steps}.zip", goals, "cpu")
 
 

@@ -118,7 +118,7 @@ def test_worlds_show_stacks_that_do_not_cross_episodes(prepared):
     worlds = Shaped(make_worlds("armctl/BridgeCross-v0", 2, CAMERA, autoreset_mode="same_step"), "distance", gamma=0.9)
     view = view_of(worlds.unwrapped)
     history = History(view, worlds.single_observation_space, 3, 2)
-    venv = EncodedVectorEnv(history, worlds, view.action_scale)
+    venv = EncodedVectorEnv(history, worlds, view)
     venv.seed(0)
     shown, seen = venv.reset(), []
     assert {name: space.shape for name, space in venv.observation_space.items()} == {"ranges": (3, 8), "motion": (3, 3)}
@@ -225,7 +225,7 @@ def test_worlds_show_features_that_do_not_learn(frames):
     envs = [make_worlds("armctl/ArmReach-v0", 2, {"max_episode_steps": 4}, autoreset_mode="same_step") for _ in "ab"]
     view = view_of(envs[0], features="invariant")
     options = ppo.PpoOptions(frames=frames)
-    stacks = EncodedVectorEnv(History(view, envs[0].single_observation_space, frames), envs[0], view.action_scale)
+    stacks = EncodedVectorEnv(History(view, envs[0].single_observation_space, frames), envs[0], view)
     features, shows = FrameFeatures(stacks.observation_space, view), vec_env_of(envs[1], view, options)
     for venv in (stacks, shows):
         venv.seed(3)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from armctl.agents import load_agent, read_card
 from armctl.core.errors import ConfigurationError
@@ -13,7 +14,7 @@ from armctl.envs import make_worlds
 from armctl.policies import make_policy
 from armctl.policies.filtered import Filtered, FilteredWorlds
 from armctl.policies.trainings import card_of
-from armctl.rl.networks.view import ActionScale
+from armctl.rl.networks.view import ActionScale, View
 from armctl.rl.run.meter import Meter, Metered
 from armctl.rl.run.vector import StableBaselinesVectorEnv
 from armctl.study.curves import read_curve
@@ -52,7 +53,7 @@ def test_what_was_executed_is_what_a_replay_buffer_gets(tmp_path):
     meter = Meter(tmp_path / "clock.json", resumed=False)
     metered = Metered(FilteredWorlds(worlds), meter)
     scale = ActionScale(*(np.full(6, bound) for bound in (-3.0, 3.0)), relative_to=slice(3, 9))
-    adapter = StableBaselinesVectorEnv(metered, scale)
+    adapter = StableBaselinesVectorEnv(metered, View(scale, FlattenExtractor))
     adapter.seed(0)
     observed, rng, changed = adapter.reset(), np.random.default_rng(0), 0
     for _ in range(12):

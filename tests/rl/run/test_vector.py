@@ -15,9 +15,8 @@ CAMERA: dict[str, Any] = {"resolution": (8, 6)}
 
 def adapter(worlds, *, shaping=None, **options):
     env = TaskVectorEnv(worlds, task=ReachTask, autoreset_mode="same_step", **options)
-    scale = view_of(env).action_scale
     shaped = Shaped(env, shaping, gamma=0.9, scale=50.0) if shaping else env
-    return StableBaselinesVectorEnv(shaped, scale)
+    return StableBaselinesVectorEnv(shaped, view_of(env))
 
 
 def test_adapter_tells_of_ended_episodes():
@@ -51,7 +50,7 @@ def test_rewards_are_weighted_and_shaped_and_returns_are_not():
 
 def test_the_learner_sees_the_last_observation_of_an_episode_and_the_first_of_the_next():
     env = TaskVectorEnv(4, task=BridgeTask, autoreset_mode="same_step", max_episode_steps=5, **CAMERA)
-    venv = StableBaselinesVectorEnv(env, view_of(env).action_scale)
+    venv = StableBaselinesVectorEnv(env, view_of(env))
     venv.seed(0)
     first = venv.reset()
     for _ in range(5):
@@ -70,4 +69,4 @@ def test_the_learner_sees_the_last_observation_of_an_episode_and_the_first_of_th
 def test_another_autoreset_mode_is_refused():
     env = gymnasium.make_vec("armctl/ArmReach-v0", num_envs=2)
     with pytest.raises(ValueError, match="same_step"):
-        StableBaselinesVectorEnv(env, view_of(env).action_scale)
+        StableBaselinesVectorEnv(env, view_of(env))
