@@ -14,6 +14,8 @@ LESS = 1e-6
 """m: what a change of a path must save."""
 WIDER = 1.5
 """Factor of a point's reach within which that of the next one is looked for first."""
+ROUNDING = 1e-9
+"""m: the most by which bounds of a block may be wrong."""
 UNVISITED, OPEN, CLOSED = 0, 1, 2
 """States of points in a search."""
 
@@ -51,12 +53,22 @@ def to_sides(half_width, length, x, y):
 
 
 @compiled
+def is_farther(block, ax, ay, bx, by, distance):
+    """Return True if a segment is certainly farther than a `distance` (m) from a block; never if it may meet it."""
+    ahead = max(block[0] - max(ax, bx), min(ax, bx) - block[2])
+    aside = max(block[1] - max(ay, by), min(ay, by) - block[3])
+    return max(ahead, aside) > max(distance, 0.0) + ROUNDING
+
+
+@compiled
 def clearances(blocks, half_width, length, points, out):
     """Compute the distance (n,) m of `points` (n, 2) from the nearest block, side or end; 0 or below inside a block."""
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         out[i] = to_sides(half_width, length, x, y)
         for k in range(len(blocks)):
+            if is_farther(blocks[k], x, y, x, y, out[i]):
+                continue
             cos, sin, dx, dy = blocks[k, 6], blocks[k, 7], x - blocks[k, 4], y - blocks[k, 5]
             beyond_x, beyond_y = abs(dx * cos + dy * sin) - blocks[k, 8], abs(dy * cos - dx * sin) - blocks[k, 9]
             outside = math.hypot(max(beyond_x, 0.0), max(beyond_y, 0.0))
@@ -70,7 +82,8 @@ def segment_clearances(blocks, half_width, length, starts, ends, out):
         ax, ay, bx, by = starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1]
         out[i] = min(to_sides(half_width, length, ax, ay), to_sides(half_width, length, bx, by))
         for k in range(len(blocks)):
-            out[i] = min(out[i], segment_to_block(ax, ay, bx, by, blocks[k]))
+            if not is_farther(blocks[k], ax, ay, bx, by, out[i]):
+                out[i] = min(out[i], segment_to_block(ax, ay, bx, by, blocks[k]))
 
 
 @compiled
@@ -81,10 +94,8 @@ def edge_is_free(blocks, half_width, length, clearance, ax, ay, bx, by):
     if min(ax, bx) < clearance or max(ax, bx) > length - clearance:
         return False
     for k in range(len(blocks)):
-        left, bottom, right, top = blocks[k, 0], blocks[k, 1], blocks[k, 2], blocks[k, 3]
-        apart = max(ax, bx) < left - clearance or min(ax, bx) > right + clearance
-        apart = apart or max(ay, by) < bottom - clearance or min(ay, by) > top + clearance
-        if not apart and segment_to_block(ax, ay, bx, by, blocks[k]) < clearance:
+        is_near = not is_farther(blocks[k], ax, ay, bx, by, clearance)
+        if is_near and segment_to_block(ax, ay, bx, by, blocks[k]) < clearance:
             return False
     return True
 

@@ -151,8 +151,9 @@ def _points(bridge: BridgeMap, clearance: float, spread: int) -> Array:
     across = bridge.nearest(flat[:, 0]) - flat
     width = np.linalg.norm(across, axis=-1)
     narrow = (width >= 2 * (clearance - ROUNDING)) & (width < NARROW * 2 * clearance)
-    middles = (flat + across / 2)[narrow]
-    through = (across[..., ::-1] * (1, -1) / np.maximum(width, clearance)[..., None])[narrow]
+    across, width, ends = across[narrow], width[narrow], flat[np.nonzero(narrow)[0], 0]
+    middles = ends + across / 2
+    through = across[:, ::-1] * (1, -1) / np.maximum(width, clearance)[:, None]
     throats = middles[:, None] + THROAT[:, None] * through[:, None]
 
     index, side = np.arange(spread), bridge.half_width - clearance
