@@ -60,7 +60,15 @@ def test_every_task_of_armctl_has_both_kinds_and_main_disturbances(size, monkeyp
     lines_up = [set(cell.policies) for cell in plan.cells]
     assert all(playing == policies if size is QUICK else playing < policies for policies in lines_up)
     assert len(plan.cells) == 1 + len(levels) * len(size.levels)
-    assert plan.total == size.episodes * sum(map(len, lines_up))
+    undisturbed, *disturbed = map(len, lines_up)
+    assert plan.total == (size.undisturbed_episodes or size.episodes) * undisturbed + size.episodes * sum(disturbed)
+
+
+def test_a_suite_may_play_more_episodes_undisturbed(monkeypatch):
+    monkeypatch.setattr(module, "FULL", SuiteSize(2, ("delay",), (0.25,), undisturbed_episodes=4))
+    found = suite([MOVING], worlds=4)
+    assert [cell.facts.at_most for cell in found.cells.values()] == [4, 2]
+    assert [len(cell.results) for cell in found.cells.values()] == [8, 4]
 
 
 def test_random_actions_play_only_where_there_is_nothing_else():

@@ -15,7 +15,6 @@ from armctl.stats.difference import MARGIN
 from armctl.stats.robustness import change_between
 from armctl.stats.sequential import ConfidenceSequence
 from armctl.study import compare, suite, sweep
-from armctl.study.line_up import FULL, QUICK
 from armctl.study.plan import comparison_plan, sweep_plan
 from armctl.study.results import read_comparison, read_study
 from armctl.study.suite_plan import suite_plan
@@ -167,13 +166,14 @@ def test_what_cannot_stop_early_is_refused(policies, options, words):
 
 def test_blocks_do_not_depend_on_where_a_run_ended():
     plan = comparison_plan(["random", "reach_ik"], "armctl/ArmReach-v0", 100, 0, {"until": "decided"})
-    assert plan.block_ends(0, [])[:3] == [10, 20, 30]
-    assert plan.block_ends(11, []) == plan.block_ends(0, [])[1:]
-    assert plan.block_ends(25, [25])[0] == 25
-    assert plan.block_ends(100, [100]) == [100]
+    (cell,) = plan.cells
+    assert plan.block_ends(cell, 0, [])[:3] == [10, 20, 30]
+    assert plan.block_ends(cell, 11, []) == plan.block_ends(cell, 0, [])[1:]
+    assert plan.block_ends(cell, 25, [25])[0] == 25
+    assert plan.block_ends(cell, 100, [100]) == [100]
     fixed = dataclasses.replace(plan, until_decided=False)
-    assert fixed.block_ends(7, [3]) == [100]
-    assert np.all(np.diff(plan.block_ends(0, [])) > 0)
+    assert fixed.block_ends(cell, 7, [3]) == [100]
+    assert np.all(np.diff(plan.block_ends(cell, 0, [])) > 0)
 
 
 @pytest.fixture(scope="module")
@@ -279,14 +279,16 @@ def test_a_task_with_one_kind_alone_has_nothing_to_decide(monkeypatch, tmp_path)
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_a_suite_stops_unless_a_number_is_fixed(quick):
-    at_most = (QUICK if quick else FULL).episodes
+    undisturbed, at_most = (100, 100) if quick else (200, 50)
     cases: Any = [
-        (None, {}, (at_most, True)), (None, {"until": "decided"}, (at_most, True)),
-        (7, {}, (7, False)), (7, {"until": "decided"}, (7, True)),
+        (None, {}, (undisturbed, at_most, True)), (None, {"until": "decided"}, (undisturbed, at_most, True)),
+        (7, {}, (7, 7, False)), (7, {"until": "decided"}, (7, 7, True)),
     ]  # fmt: skip
     for episodes, options, expected in cases:
-        plan = suite_plan(["Pendulum-v1"], quick, episodes, 0, options)
-        assert (plan.episodes, plan.until_decided) == expected
+        plan = suite_plan(["armctl/ArmReach-v0"], quick, episodes, 0, options)
+        first, *disturbed = plan.cells
+        (others,) = {plan.episodes_in(cell) for cell in disturbed}
+        assert (plan.episodes_in(first), others, plan.until_decided) == expected
     with pytest.raises(ConfigurationError, match="Did you mean 'decided'"):
         suite_plan(["Pendulum-v1"], quick, None, 0, {"until": "decidet"})  # type: ignore[typeddict-item]
 

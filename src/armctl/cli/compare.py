@@ -244,7 +244,9 @@ class SuiteRequest(StudyRequest):
     at_most: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Episodes that every policy plays at most in each setting.", show_default="50; 100 if quick"
+            min=1,
+            help="Episodes that every policy plays at most in each setting.",
+            show_default="200 undisturbed, 50 disturbed; 100 if quick",
         ),
     ] = None
     out: Annotated[

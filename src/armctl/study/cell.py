@@ -172,7 +172,7 @@ class _Line:
     def facts(self, events: Events, notes: list[str], resumed: int, first: int) -> Facts:
         """Return everything that is stored besides the episodes and runs."""
         cell, plan, env = self.cell, self.plan, self.env
-        real_time, at_most = cell.real_time, plan.episodes - first
+        real_time, at_most = cell.real_time, plan.episodes_in(cell) - first
         return Facts(
             env_options={name: str(value) for name, value in cell.env_options.items()},
             policy_seed=self.policy_seed,
@@ -236,12 +236,12 @@ def play_cell(cell: Cell, session: Session, task: Task) -> Comparison:
         recorder.open()
         about = line.identity() if store.folder else {"env": cell.env, "seed": plan.seed, "policies": [*cell.players]}
         meter = RunMeter(about, num_envs, plan.engine.workers)
-        writer = store.cell(cell.name, about, plan.episodes, meter.run)
+        writer = store.cell(cell.name, about, plan.episodes_in(cell), meter.run)
         session.on_first_cell()
         writer.forget(recorder.lost(writer.kept))
         for result in writer.kept:
             session.progress(cell, result)
-        first = task.first_episode(cell, plan.episodes)
+        first = task.first_episode(cell, plan.episodes_in(cell))
 
         def decided(count: int) -> bool:
             results = _results(writer, line, events)
@@ -323,7 +323,7 @@ def _play(
     in_workers = dict[str, float]()
     judged = [run.judged for run in writer.runs if run.judged]
     kept = max(0, int(writer.kept.column("episode").max(initial=-1)) + 1 - first)
-    counts = line.plan.block_ends(kept, judged, first)
+    counts = line.plan.block_ends(line.cell, kept, judged, first)
     if kept and line.plan.kind == SUITE:
         decided(kept)  # who represents a kind, and plays on
     try:

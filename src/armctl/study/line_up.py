@@ -37,16 +37,23 @@ class SuiteSize:
     """Number of episodes, disturbances and levels of a suite."""
 
     episodes: int
-    """Episodes of each policy in each cell; where it stops when it is decided, the most."""
+    """Most episodes of each policy in each cell, which stops when it is decided."""
     disturbances: tuple[str, ...]
     """Those that a task has of these, or all of its own if it has none of these."""
     levels: tuple[float, ...]
     """Shares of the range of default levels: 0 is the level without effect, 1 the strongest."""
     one_of_each_kind: bool = False
     """True if only a task's first classical and its first learned policy play, and no hybrid."""
+    undisturbed_episodes: int | None = None
+    """The most of the undisturbed cell, which chooses policies and decides the headline; None: as in others."""
 
 
-FULL = SuiteSize(50, ("noise", "noise_on_state", "delay", "payload", "friction", "pushes", "mismatch"), (0.5, 1.0))
+FULL = SuiteSize(
+    50,
+    ("noise", "noise_on_state", "delay", "payload", "friction", "pushes", "mismatch"),
+    (0.5, 1.0),
+    undisturbed_episodes=200,
+)
 """Full suite, two levels of each disturbance."""
 QUICK = SuiteSize(100, ("delay",), (0.75,), one_of_each_kind=True)
 """Quick suite.

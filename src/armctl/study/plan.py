@@ -117,6 +117,8 @@ class Plan:
     seed: int
     episodes: int
     """Number of episodes of each policy in each cell."""
+    undisturbed_episodes: int | None = None
+    """The same of undisturbed cells; None: as in others."""
     num_envs: int = 1
     engine: Engine = field(default_factory=lambda: engine_of(1))
     isolate: bool = False
@@ -140,13 +142,19 @@ class Plan:
         """Those of all tasks."""
         return [cell for task in self.tasks for cell in task.cells]
 
-    def block_ends(self, kept: int, judged: Iterable[int], first: int = 0) -> list[int]:
+    def episodes_in(self, cell: Cell) -> int:
+        """Return the number of episodes of each policy in a cell; where it stops when it is decided, the most."""
+        if cell.setting == UNDISTURBED and self.undisturbed_episodes is not None:
+            return self.undisturbed_episodes
+        return self.episodes
+
+    def block_ends(self, cell: Cell, kept: int, judged: Iterable[int], first: int = 0) -> list[int]:
         """Return the numbers of episodes, from the `first` on, after which a cell may stop; the last of them is all.
 
         So many are `kept` of an earlier run, and so many were `judged` by earlier ones. They do not depend on when a
         run was interrupted, nor on the number of worlds and workers.
         """
-        at_most = self.episodes - first
+        at_most = self.episodes_in(cell) - first
         if not self.until_decided:
             return [at_most]
         return [n for n in sorted({*block_ends(at_most), *judged}) if kept <= n <= at_most]
@@ -167,13 +175,13 @@ class Plan:
 
         It is no more than a worker's share of the episodes that are played at once.
         """
-        at_once = -(-BLOCK // self.engine.workers) if self.until_decided else self.episodes
+        at_once = -(-BLOCK // self.engine.workers) if self.until_decided else self.episodes_in(cell)
         return 1 if cell.real_time else min(self.num_envs, at_once)
 
     @property
     def total(self) -> int:
         """Number of episodes of all policies in all cells."""
-        return self.episodes * sum(len(cell.players) for cell in self.cells)
+        return sum(self.episodes_in(cell) * len(cell.players) for cell in self.cells)
 
 
 def comparison_plan(policies: Any, env: str, episodes: int, seed: Seed, options: ComparisonOptions) -> Plan:

@@ -32,9 +32,11 @@ def suite_plan(
     """
     checked_options(options, StudyOptions)
     size = QUICK if quick else FULL
+    undisturbed_episodes = None
     if episodes is None:
+        episodes, undisturbed_episodes = size.episodes, size.undisturbed_episodes
         options = {**options, "until": options.get("until") or "decided"}
-    shared = extent(size.episodes if episodes is None else episodes, evaluation_seed(seed), options)
+    shared = extent(episodes, evaluation_seed(seed), options)
     requested = [name for env in envs for name in (environment_names() if env == ALL else [env])]
     by_name = {task_name(env): env for env in dict.fromkeys(map(full_id, requested))}
     if not by_name or len(by_name) < len(set(map(full_id, requested))):
@@ -59,4 +61,7 @@ def suite_plan(
         if tasks and all(name in misfits[task.env] for task in tasks):
             why = misfits[tasks[0].env][name]
             raise ConfigurationError(f"{name} fits none of the tasks: in {bare_id(tasks[0].env)}, {why}")
-    return Plan(SUITE, tasks, **shared, quick=quick, envs=[*by_name.values()], failures=failures, misfits=misfits)
+    return Plan(
+        SUITE, tasks, **shared, undisturbed_episodes=undisturbed_episodes, quick=quick, envs=[*by_name.values()],
+        failures=failures, misfits=misfits,
+    )  # fmt: skip

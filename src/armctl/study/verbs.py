@@ -110,8 +110,9 @@ def suite(
     actions play only where there is nothing else. `policies` are further ones, of any of the forms that `compare`
     takes: each plays in the tasks in whose first control step it can act, and `misfits` says why not in others. With
     `quick`, only a task's first expert and first agent play, undisturbed and with delay (`line_up.QUICK`). Each setting
-    stops when its verdict is decided, and after 50 episodes (100 with `quick`) at the latest. `episodes` is a fixed
-    number, or the most with `until="decided"`. Where an environment does not obey its seed, all are played.
+    stops when its verdict is decided: at the latest after 200 episodes undisturbed, and 50 disturbed (100 with
+    `quick`). `episodes` is a fixed number, or the most with `until="decided"`. Where an environment does not obey its
+    seed, all are played.
 
     `out` gets one `results.sqlite` for all tasks. After an interrupt, the same call resumes. A task that cannot be
     played is in `failures`, and keeps none of the others from being played; so is an agent whose files are damaged.
