@@ -22,6 +22,8 @@ TEMPERATURE = 0.5
 """Difference of values by which a sequence's weight falls to 1/e: a quarter of the paper's, for few samples."""
 SMALLEST_STD, FIRST_STD = 0.05, 2.0
 """Standard deviation of actions that planning never goes below, and that of its first round."""
+LARGEST_POWER = 20.0
+"""Number from which on Mish is the identity, in 32-bit floats."""
 PLAN = "plan"
 """Name of the planner's memory: the actions that it means to take next."""
 
@@ -34,11 +36,23 @@ class Shares(torch.nn.Module):
         return softmax(values.unflatten(-1, (-1, GROUP)), dim=-1).flatten(-2)
 
 
+class Mish(torch.nn.Mish):
+    """Mish, x tanh(log(1 + exp(x))), exported as what is equal and four times as fast: ONNX Runtime's Softplus is slow."""
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        """Return numbers (...) of numbers (...)."""
+        if not torch.compiler.is_exporting():
+            return super().forward(values)
+        powers = values.clamp(max=LARGEST_POWER).exp()
+        twice = powers * (powers + 2)
+        return values * twice / (twice + 2)
+
+
 def normed_layers(sizes: list[int], last: int, end: torch.nn.Module | None = None) -> torch.nn.Sequential:
     """Return linear layers, each normed and followed by Mish, and a last one; `end` follows that, normed too."""
     layers: list[torch.nn.Module] = []
     for inputs, outputs in itertools.pairwise(sizes):
-        layers += [torch.nn.Linear(inputs, outputs), torch.nn.LayerNorm(outputs), torch.nn.Mish()]
+        layers += [torch.nn.Linear(inputs, outputs), torch.nn.LayerNorm(outputs), Mish()]
     layers.append(torch.nn.Linear(sizes[-1], last))
     return torch.nn.Sequential(*layers, *([torch.nn.LayerNorm(last), end] if end else []))
 

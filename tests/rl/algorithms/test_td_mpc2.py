@@ -8,7 +8,7 @@ from armctl.agents import load_agent
 from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
 from armctl.rl.algorithms.td_mpc2 import Replay, TdMpcOptions, train
-from armctl.rl.networks.world_model import Binned, Planner, Shares, WorldModel
+from armctl.rl.networks.world_model import Binned, Mish, Planner, Shares, WorldModel
 from tests.rl.small_trainings import small
 
 
@@ -118,3 +118,11 @@ def test_a_training_gives_an_agent_that_plays_the_same_alone_and_among_others(tm
         actions = among.act(observations)
         np.testing.assert_allclose(actions[1:2], single.act(observations[1:2]), atol=1e-5)
         observations = three.step(actions)[0]
+
+
+def test_mish_is_exported_as_the_same_function(monkeypatch):
+    numbers = torch.linspace(-120, 120, 4801)
+    expected = torch.nn.functional.mish(numbers)
+    torch.testing.assert_close(Mish()(numbers), expected)
+    monkeypatch.setattr(torch.compiler, "is_exporting", lambda: True)
+    torch.testing.assert_close(Mish()(numbers), expected, atol=1e-7, rtol=1e-6)
