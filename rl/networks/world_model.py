@@ -37,7 +37,7 @@ class Shares(torch.nn.Module):
 
 
 class Mish(torch.nn.Mish):
-    """Mish, x tanh(log(1 + exp(x))); exported without Softplus, which takes ONNX Runtime three quarters of a decision."""
+    """Mish, x tanh(log(1 + exp(x))), exported without Softplus, which is slow in ONNX Runtime."""
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         """Return numbers (...) of numbers (...)."""
