@@ -24,6 +24,7 @@ def _agent(name: str, description: str, privilege: Sees = "observation") -> Call
 
 reach_ppo = _agent("reach_ppo", "PPO on `armctl/ArmReach-v0`, robot `ur5`, position control.")
 reach_sac = _agent("reach_sac", "SAC with hindsight on `armctl/ArmReach-v0`, without reward shaping.")
+reach_td_mpc2 = _agent("reach_td_mpc2", "TD-MPC2, small, on `armctl/ArmReach-v0`: plans in a learned world model.")
 reach_bc = _agent("reach_bc", "Behaviour cloning on `armctl/ArmReach-v0`, from 500 episodes of `reach_ik`.")
 reach_dagger = _agent("reach_dagger", "DAgger on `armctl/ArmReach-v0`, with 500 episodes labelled by `reach_ik`.")
 reach_cloned_ppo = _agent("reach_cloned_ppo", "A clone of `reach_ik` on `armctl/ArmReach-v0`, improved by PPO.")

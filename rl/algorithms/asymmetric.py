@@ -45,8 +45,8 @@ class AsymmetricVectorEnv(EncodedVectorEnv):
             raise ConfigurationError(f"{type(self._features).__name__}: features of states are without weights")
         self._final = np.zeros((self.num_envs, *space.shape), dtype=np.float32)
         envs.observers.append(self)
-        shown = gymnasium.spaces.Box(-np.inf, np.inf, (self._features.features_dim,), np.float32)
-        self.observation_space = gymnasium.spaces.Dict({**inputs(self.encoder.space), STATE: shown})
+        features_space = gymnasium.spaces.Box(-np.inf, np.inf, (self._features.features_dim,), np.float32)
+        self.observation_space = gymnasium.spaces.Dict({**inputs(self.encoder.space), STATE: features_space})
 
     @property
     def policy_class(self) -> Any:
