@@ -11,6 +11,7 @@ import armctl
 from armctl.core.errors import ConfigurationError, ResultsError
 from armctl.episodes.stored import STORE
 from armctl.report.formats import FORMATS
+from armctl.report.suite_page import write_suite_page
 from armctl.study import suite
 from armctl.study.line_up import FULL, QUICK, SuiteSize, line_up, main_disturbances, unusable_agents
 from armctl.study.names import task_name
@@ -64,11 +65,16 @@ def test_every_task_of_armctl_has_both_kinds_and_main_disturbances(size, monkeyp
     assert plan.total == (size.undisturbed_episodes or size.episodes) * undisturbed + size.episodes * sum(disturbed)
 
 
-def test_a_suite_may_play_more_episodes_undisturbed(monkeypatch):
+def test_a_suite_may_play_more_episodes_undisturbed(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "FULL", SuiteSize(2, ("delay",), (0.25,), undisturbed_episodes=4))
-    found = suite([MOVING], worlds=4)
+    found = suite([MOVING], worlds=4, out=tmp_path)
     assert [cell.facts.at_most for cell in found.cells.values()] == [4, 2]
     assert [len(cell.results) for cell in found.cells.values()] == [8, 4]
+    assert read_study(tmp_path).extent == found.extent == "at most 4 episodes undisturbed, 2 in each disturbed setting"
+    write_suite_page(found, tmp_path, tmp_path / "suite.html", {})
+    page = (tmp_path / "suite.html").read_text()
+    assert found.extent in page
+    assert "--at-most" not in page
 
 
 def test_random_actions_play_only_where_there_is_nothing_else():

@@ -245,7 +245,7 @@ def test_the_best_hybrid_is_compared_with_the_best_of_both_other_kinds():
     assert "; better with noise 0.01 (+" in text
     assert "Hybrid reach_ik against learned reach_ppo: not shown to be better or worse undisturbed (" in text
     assert text in found.context
-    table = task_table([found], 12, 0, False)
+    table = task_table([found], "12 episodes in each setting", 0, False)
     assert [column.heading for column in table.columns][:4] == ["task", "classical", "learned", "hybrid"]
     assert "best hybrid" not in suite_headline([found])[0]
     ahead = replace(found, hybrid_pairs={"classical": found.hybrid_pairs["classical"]})
@@ -281,5 +281,5 @@ def test_a_verdict_without_pairs_says_so():
         success_test(both)
         == "McNemar's exact test, on the same episodes, or Barnard's exact test, on different episodes"
     )
-    assert success_test(both) in task_table(both, 50, 0, quick=True).caption
+    assert success_test(both) in task_table(both, "50 episodes in each setting", 0, quick=True).caption
     assert success_test(both[1:]) == "McNemar's exact test, on the same episodes"

@@ -87,6 +87,8 @@ def write_suite_page(suite: Study, folder: Path, out: Path, reports: Mapping[str
 def _command(suite: Study) -> str:
     envs = " ".join(f"--env {shlex.quote(env)}" for env in suite.envs)
     extent = f"--until decided --at-most {suite.episodes}" if suite.stops_early else f"--episodes {suite.episodes}"
+    if suite.undisturbed_episodes is not None:  # the numbers are the usual ones
+        extent = "--until decided"
     return f"armctl suite {envs} {'--quick ' if suite.quick else ''}{extent} --seed {suite.seed}"
 
 

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
@@ -45,6 +45,8 @@ class Study(Displayed):
     interrupted: bool
     misfits: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """Reasons why requested policies did not play, by environment and policy."""
+    undisturbed_episodes: int | None = None
+    """The number of episodes of undisturbed cells; None: that of others."""
 
     @classmethod
     def of(cls, plan: "Plan") -> "Study":
@@ -56,7 +58,7 @@ class Study(Displayed):
             for task in plan.tasks
         }
         requested = plan.kind, plan.seed, plan.episodes, [*plan.envs], plan.quick
-        return cls(*requested, tasks, dict(plan.failures), False, plan.misfits)
+        return cls(*requested, tasks, dict(plan.failures), False, plan.misfits, plan.undisturbed_episodes)
 
     @property
     def cells(self) -> dict[str, Comparison]:
@@ -79,6 +81,14 @@ class Study(Displayed):
     def stops_early(self) -> bool:
         """True if cells stop when they are decided, and `episodes` is the largest number."""
         return any(swept.any_number for swept in self.tasks.values())
+
+    @property
+    def extent(self) -> str:
+        """Number of episodes in each setting, in words."""
+        most = "at most " * self.stops_early
+        if self.undisturbed_episodes is not None:
+            return f"{most}{self.undisturbed_episodes} episodes undisturbed, {self.episodes} in each disturbed setting"
+        return f"{most}{self.episodes} episode{'s' * (self.episodes != 1)} in each setting"
 
     @property
     def storage_failures(self) -> dict[str, str]:
@@ -126,7 +136,7 @@ class Study(Displayed):
         if self.verdicts:
             parts += [Remark(f"{part}.", "verdict") for part in suite_headline(self.verdicts) if part]
             levels = {env: swept.levels for env, swept in self.tasks.items()}
-            parts.append(task_table(self.verdicts, self.episodes, self.seed, self.quick))
+            parts.append(task_table(self.verdicts, self.extent, self.seed, self.quick))
             parts.append(lead_table(self.verdicts, levels))
             for verdict in self.verdicts:
                 parts.append(Remark(f"{verdict.task}: {verdict.verdict}.", "verdict"))
@@ -140,16 +150,14 @@ class Study(Displayed):
 
     def record(self) -> dict[str, Any]:
         """Return the JSON values that are stored besides the cells."""
-        names = ("levels", "units", "recorded", "failures", "interrupted")
+        of_tasks = "levels", "units", "recorded", "failures", "interrupted"
         tasks = {
-            env: {name: getattr(swept, name) for name in names}
+            env: {name: getattr(swept, name) for name in of_tasks}
             | {name: [asdict(part) for part in getattr(swept, name)] for name in ("grids", "axes")}
             for env, swept in self.tasks.items()
         }
-        about = {
-            name: getattr(self, name) for name in ("kind", "seed", "episodes", "envs", "quick", "failures", "misfits")
-        }
-        return {**about, "interrupted": self.interrupted, "tasks": tasks}
+        names = [one.name for one in fields(self) if one.name != "tasks"]
+        return {**{name: getattr(self, name) for name in names}, "tasks": tasks}
 
     def __repr__(self) -> str:
         return f"<Study of {', '.join(map(bare_id, self.tasks)) or 'no task'}, seed {self.seed}>"

@@ -9,7 +9,7 @@ from armctl.verdict.summary_tables import UNCONDITIONAL
 from armctl.verdict.tables import UNKNOWN, Cell, Column, Table, p_value, percent
 
 
-def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick: bool) -> Table:
+def task_table(verdicts: Sequence[TaskVerdict], extent: str, seed: int, quick: bool) -> Table:
     """Return a table with a row for each task: the policies that represent the two kinds, and their difference."""
     hybrids = any(verdict.hybrid for verdict in verdicts)
     kinds = ["classical", "learned", *["hybrid"] * hybrids]
@@ -35,13 +35,12 @@ def task_table(verdicts: Sequence[TaskVerdict], episodes: int, seed: int, quick:
                 "hybrid": chosen(verdict.hybrid), "of_hybrid": verdict.of_hybrid,
             }
         )  # fmt: skip
-    early = stops_early(verdicts)
-    interval = "95 % interval at any number of episodes" if early else "MOVER's 95 % interval"
+    interval = "95 % interval at any number of episodes" if stops_early(verdicts) else "MOVER's 95 % interval"
     caption = (
         f"{rule_of_choice(verdicts, quick)} Undisturbed. Difference of classical and learned, with {interval}; "
         f"p: {success_test(verdicts)}, after Holm's correction for all tasks, and for success and steps together."
     )
-    title = f"{len(rows)} tasks: {'at most ' * early}{episodes} episodes of seed {seed} in each setting"
+    title = f"{len(rows)} tasks of seed {seed}: {extent}"
     return Table("tasks", title, columns, rows, records, caption)
 
 
