@@ -158,6 +158,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
     from armctl.rl.algorithms.plan_bc import PlanBcOptions
     from armctl.rl.algorithms.ppo import PpoOptions
     from armctl.rl.algorithms.sac import SacOptions
+    from armctl.rl.algorithms.td_mpc2 import TdMpcOptions
 
     card = read_card(path)
     assert card.recipe is not None
@@ -170,7 +171,7 @@ def test_a_shipped_card_is_of_the_present_recipe(path):
         "bc": BcOptions, "cloned_ppo": ClonedPpoOptions, "dagger": DaggerOptions, "distil": DistilOptions,
         "distilled_ppo": DistilledPpoOptions, "finetuned_ppo": FinetunedPpoOptions, "flow_matching": FlowOptions,
         "imagined_dagger": ImaginedDaggerOptions, "plan_bc": PlanBcOptions, "ppo": PpoOptions, "sac": SacOptions,
-        "act": ActOptions,
+        "act": ActOptions, "td_mpc2": TdMpcOptions,
     }  # fmt: skip
     kind = kinds[card.learner]
     assert kind(**card.learner_options) == recipe.read_options(kind)  # later options have their defaults
