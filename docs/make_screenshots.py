@@ -1,7 +1,7 @@
 """A picture of a page in headless Chromium: python docs/make_screenshots.py REPORT.html PICTURE.png.
 
 `docs/report.png` is of `armctl compare reach_ik reach_mpc reach_ppo random --seed test --report`, `docs/suite.png` of
-`armctl suite --quick --episodes 350 --workers 2 --seed test`, and `docs/sweep_reach.png` the section "Under
+`armctl suite --workers 2 --worlds 10 --seed test`, and `docs/sweep_reach.png` the section "Under
 disturbances" of `armctl sweep reach_ik reach_mpc reach_ppo --seed test --episodes 50`.
 """
 

@@ -85,10 +85,10 @@ class Study(Displayed):
     @property
     def extent(self) -> str:
         """Number of episodes in each setting, in words."""
-        most = "at most " * self.stops_early
+        limit = "at most " * self.stops_early
         if self.undisturbed_episodes is not None:
-            return f"{most}{self.undisturbed_episodes} episodes undisturbed, {self.episodes} in each disturbed setting"
-        return f"{most}{self.episodes} episode{'s' * (self.episodes != 1)} in each setting"
+            return f"{limit}{self.undisturbed_episodes} episodes undisturbed, {self.episodes} in each disturbed setting"
+        return f"{limit}{self.episodes} episode{'s' * (self.episodes != 1)} in each setting"
 
     @property
     def storage_failures(self) -> dict[str, str]:
@@ -150,14 +150,13 @@ class Study(Displayed):
 
     def record(self) -> dict[str, Any]:
         """Return the JSON values that are stored besides the cells."""
-        of_tasks = "levels", "units", "recorded", "failures", "interrupted"
+        task_fields = "levels", "units", "recorded", "failures", "interrupted"
         tasks = {
-            env: {name: getattr(swept, name) for name in of_tasks}
+            env: {name: getattr(swept, name) for name in task_fields}
             | {name: [asdict(part) for part in getattr(swept, name)] for name in ("grids", "axes")}
             for env, swept in self.tasks.items()
         }
-        names = [one.name for one in fields(self) if one.name != "tasks"]
-        return {**{name: getattr(self, name) for name in names}, "tasks": tasks}
+        return {field.name: getattr(self, field.name) for field in fields(self)} | {"tasks": tasks}
 
     def __repr__(self) -> str:
         return f"<Study of {', '.join(map(bare_id, self.tasks)) or 'no task'}, seed {self.seed}>"
