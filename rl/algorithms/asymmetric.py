@@ -62,20 +62,19 @@ class AsymmetricVectorEnv(EncodedVectorEnv):
 
     def reset(self) -> Any:
         """Start new episodes in all worlds."""
-        return self._beside(super().reset(), self._task.state_observation())
+        return _beside(super().reset(), self._features_of(self._task.state_observation()))
 
     def step_wait(self) -> Any:
         """Step all worlds."""
         observations, rewards, done, infos = super().step_wait()
-        for i in np.flatnonzero(done):
-            last = self._beside(infos[i]["terminal_observation"], self._final[i : i + 1])
-            infos[i]["terminal_observation"] = {**last, STATE: last[STATE][0]}
-        return self._beside(observations, self._task.state_observation()), rewards, done, infos
+        ids = np.flatnonzero(done)
+        for i, features in zip(ids, self._features_of(self._final[ids]), strict=True):
+            infos[i]["terminal_observation"] = _beside(infos[i]["terminal_observation"], features)
+        return _beside(observations, self._features_of(self._task.state_observation())), rewards, done, infos
 
-    def _beside(self, observations: Any, states: NDArray[np.float32]) -> dict[str, Any]:
-        parts = observations if isinstance(observations, dict) else {INPUT: observations}
+    def _features_of(self, states: NDArray[np.float32]) -> Any:
         with torch.no_grad():
-            return {**parts, STATE: self._features(torch.as_tensor(states)).numpy()}
+            return self._features(torch.as_tensor(states)).numpy()
 
 
 class AsymmetricPolicy(MultiInputActorCriticPolicy):
@@ -152,3 +151,8 @@ class Shares(BaseFeaturesExtractor):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return shares (n, k) of numbers (n, k)."""
         return self.scale * observations
+
+
+def _beside(observations: Any, features: NDArray[np.float32]) -> dict[str, Any]:
+    parts = observations if isinstance(observations, dict) else {INPUT: observations}
+    return {**parts, STATE: features}
