@@ -1,7 +1,7 @@
 """Behaviour cloning of a follower of plans, made without simulation: layouts, ways and states are all kinematic.
 
 `armctl train obstacles_plan_bc` runs this. States come from followers of the plans whose commands are disturbed (Laskey
-et al., DART: Noise injection for robust imitation learning, CoRL 2017), and with `student_share` also from the student.
+et al., DART: Noise injection for robust imitation learning, CoRL 2017).
 """
 
 import numpy as np
@@ -12,8 +12,9 @@ from armctl.core.options import Count, NonNegative, Positive, Share, options
 from armctl.kinematics import ArmModel, ArmShapes
 from armctl.rl.algorithms.cloning import fit_and_export, new_actor
 from armctl.rl.data import solved_layouts
-from armctl.rl.data.followed_plans import FollowedPlans, Following
+from armctl.rl.data.followed_plans import EncodedPlans, FollowedPlans, Following
 from armctl.rl.data.solved_scenes import SceneSolver
+from armctl.rl.networks.actor import Actor, EncodedActor
 from armctl.rl.networks.view import Features
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import TrainingOptions
@@ -60,8 +61,6 @@ class PlanBcOptions(TrainingOptions):
     """Control steps after which a follower stops."""
     straight: bool = False
     """Moves of labels are such that joints move in proportion, as the motions that were checked do."""
-    student_share: Share = 0.0
-    """Share of followers that the network moves, once all layouts have been followed: DAgger without simulation."""
 
 
 @learner(PlanBcOptions, rewards=False, curriculum=False, explores=False)
@@ -83,18 +82,22 @@ def train(training: Training, options: PlanBcOptions) -> AgentCard:
         how = Following(
             tolerance=tolerance, largest_move=options.largest_move, margin=options.margin, noise=options.noise,
             noise_share=options.noise_share, noise_power=options.noise_power, late_share=options.late_share,
-            max_steps=options.max_steps, straight=options.straight, student_share=options.student_share,
+            max_steps=options.max_steps, straight=options.straight,
         )  # fmt: skip
         shapes, layouts = ArmShapes(ArmModel(task.robot)), solved_layouts.read(folder)
-        examples = FollowedPlans(shapes, layouts, options.parts, how)
-        actor, rounds, every = new_actor(training, options), 0, max(1, options.steps // (options.renewals + 1))
+        if training.view.has_fixed_features(training.held_out.single_observation_space):
+            actor: Actor = new_actor(training, options, kind=EncodedActor)
+            examples: FollowedPlans = EncodedPlans(shapes, layouts, options.parts, how, actor)
+        else:
+            actor = new_actor(training, options)
+            examples = FollowedPlans(shapes, layouts, options.parts, how)
+        rounds, every = 0, max(1, options.steps // (options.renewals + 1))
 
         def renew(step: int) -> None:
             nonlocal rounds
             is_repeated = step > 0 and rounds == 0  # labelled before an interrupt
             while rounds < options.parts + min(step, options.steps - 1) // every:
-                student = actor if options.student_share and rounds >= options.parts else None
-                labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)), student)
+                labelled = examples.renew(rounds, np.random.default_rng((seed, 1, rounds)))
                 training.meter.add(teacher_queries=0 if is_repeated else labelled)
                 rounds += 1
 

@@ -5,7 +5,6 @@ depends on where the arm is, and leads back to the way. Nothing is simulated (`a
 """
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,15 +15,15 @@ from armctl.core.arrays import Array
 from armctl.kinematics import ArmShapes, ImaginedArms
 from armctl.kinematics.imagined import ARRIVED, MOVING
 from armctl.rl.data.solved_layouts import SolvedLayouts
-from armctl.rl.networks.actor import Actor
+from armctl.rl.networks.actor import EncodedActor
 from armctl.robot_description import JointLimits
 from armctl.tasks.reach import CONTROL_PERIOD
 from armctl.tasks.reach.obstacles import obstacles_observation
 
-Acting = Callable[[NDArray[np.intp], NDArray[np.float32]], NDArray[Any]]
-"""Commands (k, dof), rad, of a student in layouts `rows` (k,), at joint positions (k, dof)."""
 WAYPOINTS_APART = 0.3
 """Largest joint motion between waypoints, of which a way's corners are some, rad."""
+ENCODED_AT_ONCE = 128
+"""Number of states whose features are computed at once: they fit into a processor's cache."""
 NEAR_END, NEAR_CORNER = 0.015, 0.05
 """Distances of joints, rad: from the end of a way at which an arm has arrived in a pose, and from a corner behind which
 it goes to the next one, also if that leads nearer to things than the margin."""
@@ -53,8 +52,6 @@ class Following:
     """Control steps after which an arm stops to follow."""
     straight: bool = False
     """True: labels move joints in proportion (see `limited_moves`). False: the larger moves end later."""
-    student_share: float = 0.0
-    """Share of arms that a student moves, if there is one: labels are for the states that it visits."""
 
 
 def follow(
@@ -63,12 +60,10 @@ def follow(
     rows: NDArray[np.intp],
     rng: np.random.Generator,
     how: Following,
-    acting: Acting | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
     """Follow the ways of some `rows` of layouts: the row of every state, its joint positions and its label, (k, dof).
 
-    Labels are absolute joint positions (rad). Arms that touch something, or have arrived, are done. `acting` moves a
-    share of the arms.
+    Labels are absolute joint positions (rad). Arms that touch something, or have arrived, are done.
     """
     ways, lengths = _padded([waypoints(layouts.way(int(row))) for row in rows])
     n = len(rows)
@@ -80,7 +75,6 @@ def follow(
     arms.begin(every, ways[every, first], 0.0, targets[:, :3], boxes)
     next_waypoint = first + 1
     noise = how.noise * rng.random((n, 1)) ** how.noise_power
-    is_student = rng.random(n) < how.student_share
     states, positions, labels = [], [], []
     for _ in range(how.max_steps):
         moving = np.flatnonzero(arms.states == MOVING)
@@ -95,11 +89,8 @@ def follow(
         states.append(rows[moving])
         positions.append(arms.positions[moving].astype(np.float32))
         labels.append((arms.positions + moves)[moving].astype(np.float32))
-        commands = arms.positions + moves
-        if acting is not None and len(students := moving[is_student[moving]]):
-            commands[students] = acting(rows[students], arms.positions[students].astype(np.float32))
         is_disturbed = rng.random((n, 1)) < how.noise_share
-        arms.move(commands + is_disturbed * rng.normal(scale=noise, size=moves.shape))
+        arms.move(arms.positions + moves + is_disturbed * rng.normal(scale=noise, size=moves.shape))
         if has_poses:
             at_end = abs(ways[every, lengths - 1] - arms.positions).max(axis=1) < NEAR_END
             arms.states[at_end & (arms.states == MOVING)] = ARRIVED
@@ -133,35 +124,71 @@ def waypoints(way: Array) -> Array:
 
 
 class FollowedPlans:
-    """Examples from all layouts, of which a part is followed anew, with other noise, whenever `renew` is called.
-
-    They replace earlier ones of that part. Those with a student's states are added (Ross, Gordon and Bagnell, AISTATS
-    2011), as nothing else holds the student to the ways.
-    """
+    """Examples from all layouts, of which a part is followed anew, with other noise, whenever `renew` is called."""
 
     def __init__(self, shapes: ArmShapes, layouts: SolvedLayouts, parts: int, how: Following) -> None:
         self._shapes, self._layouts, self._how, self._parts = shapes, layouts, how, parts
         self._examples: dict[int, tuple[NDArray[Any], ...]] = {}
 
-    def renew(self, number: int, rng: np.random.Generator, student: Actor | None = None) -> int:
-        """Follow the part of this number, counted on and on. Returns how many states were labelled."""
+    def renew(self, number: int, rng: np.random.Generator) -> int:
+        """Follow the part of this number, counted on and on, in place of what it was. Returns the number of labels."""
         part = number % self._parts
         rows = np.arange(part, len(self._layouts), self._parts)
-        acting = None if student is None else lambda rows, q: student.act(self._observations(rows, q))
-        examples = follow(self._shapes, self._layouts, rows, rng, self._how, acting)
-        self._examples[part if student is None else number] = examples
-        parts = list(self._examples.values())
-        self._rows, self._positions, self._labels = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        examples = follow(self._shapes, self._layouts, rows, rng, self._how)
+        self._examples[part] = self._stored(*examples)
         return len(examples[0])
 
-    def draw(self, rng: np.random.Generator, size: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def draw(self, rng: np.random.Generator, size: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return a random batch of observations and actions (size, ...)."""
-        samples = rng.integers(len(self._rows), size=size)
-        return self._observations(self._rows[samples], self._positions[samples]), self._labels[samples]
+        return self._batch(*self._rows_of_parts(rng, size))
+
+    def _rows_of_parts(self, rng: np.random.Generator, size: int) -> list[NDArray[Any]]:
+        """Return random rows of what is stored."""
+        parts = list(self._examples.values())
+        ends = np.cumsum([len(part[0]) for part in parts])
+        samples = rng.integers(ends[-1], size=size)
+        of_part = np.searchsorted(ends, samples, side="right")
+        batch = [np.empty((size, *array.shape[1:]), array.dtype) for array in parts[0]]
+        for number, part in enumerate(parts):
+            chosen = of_part == number
+            local = samples[chosen] - ends[number] + len(part[0])
+            for into, array in zip(batch, part, strict=True):
+                into[chosen] = array[local]
+        return batch
+
+    def _stored(self, rows: Any, positions: Any, labels: Any, /) -> tuple[NDArray[Any], ...]:
+        """Return what is kept of the rows of states, their joint positions and labels."""
+        return rows, positions, labels
+
+    def _batch(self, rows: Any, positions: Any, labels: Any, /) -> tuple[NDArray[Any], NDArray[Any]]:
+        return self._observations(rows, positions), labels
 
     def _observations(self, rows: NDArray[np.intp], positions: NDArray[np.float32]) -> NDArray[np.float32]:
         layouts = self._layouts
         return obstacles_observation(self._shapes.model, positions, layouts.targets[rows], layouts.boxes[rows])
+
+
+class EncodedPlans(FollowedPlans):
+    """The same for an actor whose features have no weights: they are computed once, and drawn with its own actions."""
+
+    def __init__(
+        self, shapes: ArmShapes, layouts: SolvedLayouts, parts: int, how: Following, actor: EncodedActor
+    ) -> None:
+        super().__init__(shapes, layouts, parts, how)
+        self._actor = actor
+
+    def _stored(self, rows: Any, positions: Any, labels: Any, /) -> tuple[NDArray[Any], ...]:
+        features = np.empty((len(rows), self._actor.num_features), np.float16)
+        actions = np.empty(labels.shape, np.float32)
+        for start in range(0, len(rows), ENCODED_AT_ONCE):
+            few = slice(start, start + ENCODED_AT_ONCE)
+            observations = self._observations(rows[few], positions[few])
+            features[few], actions[few] = self._actor.encoded(observations, labels[few])
+        return features, actions
+
+    def _batch(self, *stored: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+        features, actions = stored
+        return features, actions
 
 
 def _padded(ways: list[Array]) -> tuple[Array, NDArray[np.int64]]:

@@ -3,14 +3,15 @@
 A scene is a training problem of `armctl/ArmScenes-v0` that is turned about the arm's base and shifted as a whole, with
 its target: its own variations differ in this, too. The test problems are not used.
 
-Ways are such that a network can learn them. They end in the same of the postures that inverse kinematics offers
-wherever that has a way: the mean of two postures is none. And they keep a clearance from all that is not nearer at
+Ways are such that a network can learn them. They end in the free posture that is nearest to home, wherever that has
+a way: the mean of two postures is none. And they keep a clearance from all that is not nearer at
 their ends: with one clearance for all, that of a grasp would hold all the way.
 """
 
 from typing import Any
 
 import numpy as np
+import torch
 from ompl import geometric
 
 from armctl.core.arrays import Array
@@ -21,6 +22,7 @@ from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimePose
 from armctl.planning.arm_planner import DETOUR, MAX_TIME_RATIO
 from armctl.planning.arm_search import ArmSearch
 from armctl.rl.data.solved_layouts import SolvedLayout
+from armctl.rl.networks.postures import Postures
 from armctl.robot_description import ArmDescription
 from armctl.scene import TILTED_BOX_NUMBERS, Boxes
 from armctl.scene.boxes import rotations_about_vertical
@@ -53,11 +55,11 @@ class SceneSolver:
         self._search = MinimumTimePose(self._model, options.lever)
         self._rows = self._problems.rows(options.scenes, "training", solvable=True)
         self._tolerance, self._seed = INSIDE * options.tolerance, (seed + 1) * TRAINING_SEEDS
-        self._shapes = ArmShapes(self._model)
+        self._shapes, self._postures = ArmShapes(self._model), Postures.of(self._model.geometry())
         self.identity: dict[str, Any] = {
             "robot": robot_digest(arm), "tolerance": self._tolerance, "seed": seed, "scenes": options.scenes,
             "lever": options.lever, "turn": LARGEST_TURN, "shift": list(SHIFT),
-            "attempts": [list(attempt) for attempt in ATTEMPTS],
+            "attempts": [list(attempt) for attempt in ATTEMPTS], "postures": self._postures is not None,
         }  # fmt: skip
 
     def solve(self, number: int) -> SolvedLayout | None:
@@ -72,17 +74,24 @@ class SceneSolver:
         return None if way is None else SolvedLayout(target, boxes, way)
 
     def _goals(self, start: Array, place: Array, boxes: Boxes) -> list[Array]:
-        """Return free configurations (dof,) in or beside the pose, one for each posture, the preferred one first."""
+        """Return free configurations (dof,) in the pose, or else beside it, the nearest to home first."""
         edges = EdgeChecker(self._shapes, boxes, FREE, start)
         if not edges.start_is_free:
             return []
-        goals: dict[tuple[bool, bool, bool], Array] = {}
         for centre in (place, *self._search.around(place, self._tolerance)):
-            for q in self._search.configurations(start, centre):
-                posture = _posture(q, centre)
-                if posture not in goals and self._model.within_limits(q) and edges.is_free(q):
-                    goals[posture] = q
-        return [goals[posture] for posture in sorted(goals)]
+            candidates = self._configurations(start, centre)
+            goals = [q for q in candidates if self._model.within_limits(q) and edges.is_free(q)]
+            if goals:
+                return sorted(goals, key=lambda q: float(np.linalg.norm(q - self._model.home)))
+        return []
+
+    def _configurations(self, start: Array, centre: Array) -> Array:
+        """Return configurations (k, dof) in the pose, free or not."""
+        if self._postures is None:
+            return self._search.configurations(start, centre)
+        pose = torch.as_tensor(self._search.pose(centre), dtype=torch.float32)
+        postures, exist = self._postures(pose[None, :3, 3], pose[None, :3, :3].transpose(1, 2))
+        return np.asarray(postures[exist], dtype=float)
 
     def _way(self, start: Array, goal: Array, boxes: Boxes) -> Array:
         """Return a way (m, dof) with as much clearance as possible; (0, dof) if none was found."""
@@ -109,13 +118,3 @@ class SceneSolver:
         pose = self._model.pose(problems.goals[row].astype(float))
         position, axes = rotation @ pose[:3, 3] + shift, rotation @ pose[:3, :2]
         return start, np.concatenate((position, *axes.T)), boxes
-
-
-def _posture(q: Array, place: Array) -> tuple[bool, bool, bool]:
-    """Return of q (dof,) at a place (12,) whether shoulder, wrist and elbow are otherwise than is preferred.
-
-    A UR's preferred shoulder is behind its base as seen from the target; with that, wrist and elbow bent in this way
-    are free at 95 % of the targets among shelves and in boxes.
-    """
-    azimuth = np.arctan2(place[1], place[0])
-    return bool(np.cos(q[0] - azimuth) > 0), bool(np.sin(q[4]) > 0), bool(np.sin(q[2]) < 0)

@@ -79,6 +79,27 @@ class Actor(torch.nn.Module):
         write_graph(self, self.inputs, self.memory, path)
 
 
+class EncodedActor(Actor):
+    """An actor whose features have no weights, so that examples are features, and actions in the network's unit."""
+
+    @property
+    def num_features(self) -> int:
+        """Number of features."""
+        return int(self.network[0].features_dim)
+
+    def encoded(
+        self, observations: NDArray[np.float32], actions: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the features (n, `num_features`) of observations, and environment actions (n, k) in its own unit."""
+        with torch.no_grad():
+            inputs = torch.as_tensor(observations)
+            return self.network[0](inputs).numpy(), self.scale.inverse(inputs, torch.as_tensor(actions)).numpy()
+
+    def loss(self, features: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """Return the mean squared error for `encoded` examples."""
+        return (self.network[1:](features.float()) - actions).square().mean()
+
+
 class MedianActor(Actor):
     """An actor whose loss is the distance from labels, not its square: its minimum is their geometric median.
 

@@ -14,6 +14,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 
 from armctl.core.errors import unknown_name
 from armctl.core.registration import import_attribute
+from armctl.rl.networks.box_distance_features import BoxDistanceFeatures
 from armctl.rl.networks.bridge_ranges import ColumnRanges, FloorRanges, HeldNearnessFeatures, NearnessFeatures
 from armctl.rl.networks.bridge_scans import Surroundings
 from armctl.rl.networks.layers import (
@@ -126,6 +127,7 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "reach": ReachFeatures,
     "base_yaw_invariant": BaseYawInvariantFeatures,
     "links_among_boxes": LinkBoxFeatures,
+    "distances_among_boxes": BoxDistanceFeatures,
     "lift": LiftFeatures,
     "push": PushFeatures,
     "nearness": NearnessFeatures,

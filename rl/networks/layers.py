@@ -1,7 +1,8 @@
 """Parts that several networks are built of."""
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import torch
 
@@ -28,6 +29,14 @@ def padded(part: torch.Tensor, count: int) -> torch.Tensor:
     """Return a part of an observation (n, k), followed by zeros: what `count` actions are relative to, (n, count)."""
     others = count - part.shape[1]
     return torch.nn.functional.pad(part, (0, others)) if others else part
+
+
+def for_each(worlds: torch.Tensor, numbers: torch.Tensor) -> torch.Tensor:
+    """Return the same `numbers` for each of the `worlds`, whose own are finite.
+
+    With an addition in place of an expansion, the sizes of all arrays of an agent are known before it runs.
+    """
+    return numbers + 0.0 * worlds
 
 
 def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
@@ -79,17 +88,19 @@ def missing_turn(tip_axes: torch.Tensor, target_axes: torch.Tensor) -> torch.Ten
     about, the distance of the axes, which is sqrt(8) sin(angle / 2), and the former as a direction that fades near 0.
     """
     tip, target = frame_of(tip_axes), frame_of(target_axes)
-    turn, twist = (tip @ target.transpose(1, 2)).flatten(1), _cross(tip, target).sum(dim=1)
+    turn, twists = (tip @ target.transpose(1, 2)).flatten(1), cross(tip, target)
+    twist = twists[:, 0] + twists[:, 1] + twists[:, 2]  # a sum over an axis would depend on the number of worlds
     distance = (target - tip).flatten(1).norm(dim=1, keepdim=True)
     return torch.cat((turn, twist, distance, twist / (distance + NEARBY_TURN)), dim=1)
 
 
 def frame_of(axes: torch.Tensor) -> torch.Tensor:
     """Return all three axes (n, 3, 3), one per row, of the first two (n, 2, 3)."""
-    return torch.cat((axes, _cross(axes[:, :1], axes[:, 1:])), dim=1)
+    return torch.cat((axes, cross(axes[:, :1], axes[:, 1:])), dim=1)
 
 
-def _cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Return cross products (..., 3)."""
     x, y, z = a.unbind(dim=-1)
     u, v, w = b.unbind(dim=-1)
     return torch.stack((y * w - z * v, z * u - x * w, x * v - y * u), dim=-1)
@@ -107,8 +118,42 @@ def joint_frames(
         base, sine, versine = turns[:, k]
         turn = base + angle.sin() * sine + (1 - angle.cos()) * versine
         if k == 0:
-            rotation, origin = turn, offsets[:1].expand(joints.shape[0], 3)
+            rotation, origin = turn, for_each(joints[:, :1], offsets[0])
         else:
             origin = origin + torch.matmul(rotation, offsets[k])
             rotation = torch.matmul(rotation, turn)
         yield rotation, origin
+
+
+class LinkPoints(torch.nn.Module):
+    """Points along the links of an arm whose `geometry` is that of `ArmModel.geometry`."""
+
+    def __init__(self, geometry: Mapping[str, Sequence[Any]]) -> None:
+        super().__init__()
+        turns = torch.tensor([geometry["base"], geometry["sine"], geometry["versine"]])
+        self.dof = turns.shape[1]
+        self.points_of = [[i for i, joint in enumerate(geometry["joint"]) if joint == k + 1] for k in range(self.dof)]
+        """Numbers of the points that each joint moves, which are in this order."""
+        self.register_buffer("turns", turns)
+        self.register_buffer("offsets", torch.tensor(geometry["offset"]))
+        order = [i for points in self.points_of for i in points]
+        self.register_buffer("points", torch.tensor(geometry["points"])[order])
+        self.register_buffer("radii", torch.tensor(geometry["radii"])[order])
+
+    def forward(self, joints: torch.Tensor) -> torch.Tensor:
+        """Return points (n, p, 3) m in the base's frame, at `joints` (n, dof)."""
+        placed, first = [], 0
+        for points, (rotation, origin) in zip(
+            self.points_of, joint_frames(self.turns, self.offsets, joints), strict=True
+        ):
+            if points:
+                local = self.points[first : first + len(points)]
+                placed.append(origin[:, None] + torch.matmul(local, rotation.transpose(1, 2)))
+                first += len(points)
+        return torch.cat(placed, dim=1)
+
+
+def length(vectors: torch.Tensor) -> torch.Tensor:
+    """Return lengths (..., 1) of vectors (..., 3)."""
+    x, y, z = vectors.split(1, dim=-1)
+    return (x * x + y * y + z * z).sqrt()

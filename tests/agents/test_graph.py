@@ -91,9 +91,9 @@ def simple(name, constants=(), shape=(6,), **attributes):
 NUMERIC = {
     name: simple(name)
     for name in (
-        "Abs", "Ceil", "Cos", "Elu", "Erf", "Exp", "Floor", "Gelu", "HardSigmoid", "HardSwish", "LeakyRelu", "Mish",
-        "Neg", "Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Softplus", "Softsign", "Tan", "Tanh",
-        "ThresholdedRelu",
+        "Abs", "Acos", "Atan", "Ceil", "Cos", "Elu", "Erf", "Exp", "Floor", "Gelu", "HardSigmoid", "HardSwish",
+        "LeakyRelu", "Mish", "Neg", "Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Softplus",
+        "Softsign", "Tan", "Tanh", "ThresholdedRelu",
     )
 }  # fmt: skip
 NUMERIC |= {f"{name} of one number": simple(name, shape=(1,)) for name in ("Cos", "Elu", "Sin", "Softplus", "Tanh")}
@@ -134,8 +134,8 @@ def test_what_rounds_is_tried():
     """The other operators of agents choose, compare, move or count numbers, and do not round."""
     exact = {
         "And", "ArgMax", "ArgMin", "Cast", "Clip", "Concat", "Constant", "ConstantOfShape", "Equal", "Expand",
-        "Flatten", "Gather", "GatherElements", "Greater", "GreaterOrEqual", "Identity", "Less", "LessOrEqual", "Max",
-        "MaxPool", "Mean", "Min", "Not", "OneHot", "Or", "Pad", "Range", "Reshape", "Shape", "Slice", "Split",
+        "Flatten", "Gather", "GatherElements", "Greater", "GreaterOrEqual", "Identity", "IsNaN", "Less", "LessOrEqual",
+        "Max", "MaxPool", "Mean", "Min", "Not", "OneHot", "Or", "Pad", "Range", "Reshape", "Shape", "Slice", "Split",
         "Squeeze", "Sub", "Sum", "Tile", "TopK", "Transpose", "Trilu", "Unsqueeze", "Where", "Xor",
     }  # fmt: skip
     assert {name.partition(" ")[0] for name in NUMERIC} | {"Log", "Sqrt"} | exact == OPERATORS

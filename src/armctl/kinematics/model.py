@@ -194,8 +194,9 @@ class ArmModel:
         """Return the moving links as numbers, for networks: joints as in `armctl.kernels.arm`, and points along links.
 
         `base`, `sine`, `versine` are (dof, 3, 3), `offset` is (dof, 3). Points (p, 3) are in the frame of their `joint`
-        (p,), which counts from 1, at most `spacing` (m) apart; `radii` (p,) are the links' radii, m. `tip` (3,) is the
-        end-effector in the frame of the last joint, m.
+        (p,), which counts from 1, at most `spacing` (m) apart; `radii` (p,) are the links' radii, m. `tip` (3,) m and
+        `tip_turn` (3, 3) are place and orientation of the end-effector in the frame of the last joint, `lower` and
+        `upper` (dof,) rad the limits, and `home` (dof,) rad is where the arm begins.
 
         Raises `ConfigurationError` for an arm with joints that slide.
         """
@@ -214,8 +215,11 @@ class ArmModel:
                 joint.append(int(link["joint"]))
                 radii.append(float(link["radius"]))
         turning = {name: self.joints[name].tolist() for name in ("base", "sine", "versine", "offset")}
-        tip = self.joints["tip"][-1].tolist()
-        return {**turning, "joint": joint, "points": points, "radii": radii, "tip": tip}
+        tip_turn = self.pinocchio.frames[self.tip].placement.rotation
+        ends = {"tip": self.joints["tip"][-1], "tip_turn": tip_turn}
+        ranges = {"lower": self.limits.lower, "upper": self.limits.upper, "home": self.home}
+        others = {name: numbers.tolist() for name, numbers in {**ends, **ranges}.items()}
+        return {**turning, **others, "joint": joint, "points": points, "radii": radii}
 
     def _jacobian(self, q: Array, frame: pinocchio.ReferenceFrame) -> Array:
         jacobian = pinocchio.computeFrameJacobian(self.pinocchio, self._data, q, self.tip, frame)

@@ -122,10 +122,10 @@ def test_imagined_observations_are_those_of_the_environment(shapes):
 def test_parts_are_followed_anew_one_after_the_other(shapes, layouts):
     examples = FollowedPlans(shapes, layouts, 3, HOW)
     first = examples.renew(0, np.random.default_rng(0))
-    assert first == len(examples._rows)
+    assert first == len(examples._examples[0][0])
     for number in (1, 2):
         examples.renew(number, np.random.default_rng(number))
-    assert set(examples._rows) == set(range(len(layouts)))
+    assert {row for rows, *_ in examples._examples.values() for row in rows} == set(range(len(layouts)))
     before = examples._examples[1][1]
     examples.renew(4, np.random.default_rng(4))
     assert not np.array_equal(examples._examples[1][1][:50], before[:50])

@@ -3,12 +3,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
+from armctl.envs import TaskVectorEnv
 from armctl.kernels.edges import NEAR_START
 from armctl.kinematics import ArmModel, ArmShapes, EdgeChecker, MinimumTimePose
 from armctl.rl.data import solved_layouts
-from armctl.rl.data.followed_plans import FollowedPlans, Following, follow
+from armctl.rl.data.followed_plans import EncodedPlans, FollowedPlans, Following, follow
 from armctl.rl.data.solved_scenes import ATTEMPTS, FREE, INSIDE, LARGEST_TURN, SceneSolver
+from armctl.rl.networks.actor import EncodedActor
+from armctl.rl.networks.view import view_of
+from armctl.tasks import ReachScenesTask
 from armctl.tasks.reach import ReachScenesOptions, read_boxes
 from armctl.tasks.reach.motion_bench_maker import LAST_OF_TRAINING, ROBOTS, shipped_problems
 
@@ -74,6 +79,21 @@ def test_ways_are_free_and_lead_into_the_pose(layouts, model):
         assert all(checker.is_edge_free(a, b) for a, b in itertools.pairwise(way))
 
 
+def test_ways_end_in_the_free_posture_that_is_nearest_to_home(solver, model):
+    nearest = []
+    for row in solver._rows[:20]:
+        solver._rows, rows = solver._rows[solver._rows == row], solver._rows
+        start, target, boxes = solver._draw(np.random.default_rng(int(row)))
+        solver._rows = rows
+        place = solver._search.centre(target[:3], target[3:])
+        goals = solver._goals(start, place, read_boxes(boxes, 8))
+        distances = [np.linalg.norm(goal - model.home) for goal in goals]
+        assert distances == sorted(distances)
+        nearest.append(len(goals))
+        assert all(np.linalg.norm(solver._search.place(goal) - place) < solver._tolerance + 1e-4 for goal in goals)
+    assert max(nearest) > 1
+
+
 def test_most_ways_are_near_only_to_what_is_near_at_their_ends(layouts, model):
     wide = []
     for row in range(len(layouts)):
@@ -100,30 +120,34 @@ def test_followers_arrive_in_poses_and_some_begin_late(layouts, model):
     assert actions.shape == (7, 6)
 
 
-class Still:
-    """A student that stays where it is, and counts its decisions."""
+def test_a_part_is_followed_again_with_other_noise_and_drawn_as_often_as_the_others(layouts, model):
+    examples = FollowedPlans(ArmShapes(model), layouts, 2, replace(HOW, noise_share=0.5))
+    first = [examples.renew(part, np.random.default_rng(part)) for part in range(2)]
+    before = examples.draw(np.random.default_rng(0), 5)[0]
+    assert abs(examples.renew(2, np.random.default_rng(2)) - first[0]) < first[0]
+    observations, actions = examples.draw(np.random.default_rng(0), 4000)
+    assert not np.array_equal(observations[:5], before)
+    of_first = np.isin(observations[:, 9], layouts.targets[::2, 0])
+    counts = [len(part[0]) for part in examples._examples.values()]
+    assert abs(of_first.mean() - counts[0] / sum(counts)) < 0.04
+    assert abs(actions - observations[:, 3:9]).max() <= HOW.largest_move + 1e-5
 
-    decisions = 0
 
-    def act(self, observations):
-        assert observations.shape[1] == 192
-        self.decisions += len(observations)
-        return observations[:, 3:9]
-
-
-def test_a_student_moves_its_share_and_its_states_are_added(layouts, model):
-    student, how = Still(), replace(HOW, student_share=0.5, max_steps=8)
-    examples = FollowedPlans(ArmShapes(model), layouts, 1, how)
-    first = examples.renew(0, np.random.default_rng(0))
-    assert first == 8 * len(layouts)
-    assert examples.renew(1, np.random.default_rng(0), student) == first
-    assert len(examples._rows) == 2 * first
-    assert 0 < student.decisions < first
-    starts = np.array([layouts.way(row)[0] for row in range(len(layouts))])
-    stood = (abs(examples._positions[first:, None] - starts).max(axis=-1) < 1e-5).any(axis=1)
-    assert stood.sum() >= student.decisions
-    examples.renew(2, np.random.default_rng(0), student)
-    assert len(examples._rows) == 3 * first
+def test_encoded_examples_are_those_of_states(layouts, model):
+    worlds = TaskVectorEnv(1, task=ReachScenesTask)
+    view, space = view_of(worlds, features="model"), worlds.single_observation_space
+    features = view.extractor(space)
+    actor = EncodedActor(
+        torch.nn.Sequential(features, torch.nn.Linear(features.features_dim, 6)), view.action_scale, space
+    )
+    plain, encoded = (
+        FollowedPlans(ArmShapes(model), layouts, 1, HOW),
+        EncodedPlans(ArmShapes(model), layouts, 1, HOW, actor),
+    )
+    assert plain.renew(0, np.random.default_rng(0)) == encoded.renew(0, np.random.default_rng(0))
+    expected = actor.encoded(*plain.draw(np.random.default_rng(1), 50))
+    for found, wanted in zip(encoded.draw(np.random.default_rng(1), 50), expected, strict=True):
+        np.testing.assert_allclose(found, wanted, atol=2e-2)
 
 
 def test_what_scenes_depend_on_is_known(solver):

@@ -148,6 +148,10 @@ class ReachObstaclesTask(ReachTask):
         "random",
     )
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {**ReachTask.potentials, "ompl": PathCostToGo}
+    geometry_features: ClassVar[str] = "links_among_boxes"
+    """Name of the features that know the arm's geometry."""
+    points_apart: ClassVar[float] = 0.15
+    """m: largest distance of points along a link, for these features."""
 
     def __init__(self, n: int, options: ReachObstaclesOptions, threads: int = 0) -> None:
         self._boxes = np.zeros((n, options.max_boxes, options.box_numbers))
@@ -160,10 +164,8 @@ class ReachObstaclesTask(ReachTask):
         options = self.options
         if list(options.parts) != list(options.observations["paper"]) or not model.base_yaw_is_vertical:
             return view
-        features: dict[str, Any] = {"geometry": model.geometry()}
-        if options.box_numbers > BOX_NUMBERS:
-            features |= {"box_numbers": options.box_numbers, "poses": True}
-        return replace(view, model_features=FeatureSpec("links_among_boxes", features))
+        features = FeatureSpec(self.geometry_features, {"geometry": model.geometry(self.points_apart)})
+        return replace(view, model_features=features)
 
     def boxes(self, world: int) -> Boxes:
         """Return the obstacles of a world."""

@@ -104,6 +104,9 @@ class ReachScenesTask(ReachPoseTask, ReachObstaclesTask):
         "reach_ompl", "reach_mpc", "reach_ik", "scenes_imagined", "scenes_plan_bc", "random",
     )  # fmt: skip
 
+    geometry_features = "distances_among_boxes"
+    points_apart = 0.08
+
     def __init__(self, n: int, options: ReachScenesOptions, threads: int = 0) -> None:
         super().__init__(n, options, threads)
         self.simulation.model.camera(self.camera).pos[2] += self._workspace.centre[2]
