@@ -23,7 +23,7 @@ from armctl.tasks.reach.obstacles import obstacles_observation
 WAYPOINTS_APART = 0.3
 """Largest joint motion between waypoints, of which a way's corners are some, rad."""
 ENCODED_AT_ONCE = 128
-"""Number of states whose features are computed at once: they fit into a processor's cache."""
+"""Number of states whose features are computed at once: with more, each takes longer."""
 NEAR_END, NEAR_CORNER = 0.015, 0.05
 """Distances of joints, rad: from the end of a way at which an arm has arrived in a pose, and from a corner behind which
 it goes to the next one, also if that leads nearer to things than the margin."""

@@ -14,8 +14,6 @@ from armctl.rl.networks.layers import cross, for_each, joint_frames, length, rot
 
 TOLERANCE = 1e-3
 """Scalar product of axes, and distance of lines (m), within which axes are as is assumed."""
-
-
 POSTURES = 8
 """Number of an arm's postures."""
 

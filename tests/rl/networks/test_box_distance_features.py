@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 import torch
 
-from armctl.agents.graph import AgentGraph
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.kinematics import ArmModel
@@ -12,6 +11,8 @@ from armctl.rl.networks.layers import frame_of
 from armctl.rl.networks.view import view_of
 from armctl.scene import Boxes
 from armctl.tasks import ReachScenesTask
+
+from .exported import check_graph
 
 
 @pytest.fixture(scope="module")
@@ -132,13 +133,4 @@ def test_other_observations_are_refused(scenes):
 
 @pytest.mark.slow
 def test_the_graph_acts_like_the_network_in_any_number_of_worlds(scenes, tmp_path):
-    view, features = view_of(scenes, features="model"), features_of(scenes)
-    network = torch.nn.Sequential(features, torch.nn.Linear(features.features_dim, 6))
-    actor = Actor(network, view.action_scale, scenes.single_observation_space)
-    actor.export(tmp_path / "agent.onnx")
-    graph = AgentGraph(tmp_path / "agent.onnx")
-    observations, _ = scenes.reset(seed=3)
-    together = graph.run({"observation": observations})[0]
-    np.testing.assert_allclose(together, actor.act(observations), atol=1e-5)
-    alone = [graph.run({"observation": observations[i : i + 1]})[0][0] for i in range(4)]
-    np.testing.assert_allclose(alone, together, atol=1e-6)
+    check_graph(scenes, features_of(scenes), tmp_path)

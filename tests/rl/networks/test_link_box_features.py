@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 import torch
 
-from armctl.agents.graph import AgentGraph
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
 from armctl.kinematics import ArmModel
-from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.link_box_features import LENGTH_SCALE, NEARBY, LinkBoxFeatures
 from armctl.rl.networks.view import view_of
 from armctl.scene import Boxes
 from armctl.tasks import ReachObstaclesTask, ReachTask
+
+from .exported import check_graph
 
 
 @pytest.fixture(scope="module")
@@ -89,16 +89,7 @@ def test_the_order_of_boxes_does_not_matter_and_the_boxes_do(worlds, features):
 
 @pytest.mark.slow
 def test_the_graph_acts_like_the_network_in_any_number_of_worlds(worlds, features, tmp_path):
-    view = view_of(worlds, features="model")
-    network = torch.nn.Sequential(features, torch.nn.Linear(features.features_dim, 6))
-    actor = Actor(network, view.action_scale, worlds.single_observation_space)
-    actor.export(tmp_path / "agent.onnx")
-    graph = AgentGraph(tmp_path / "agent.onnx")
-    observations, _ = worlds.reset(seed=3)
-    together = graph.run({"observation": observations})[0]
-    np.testing.assert_allclose(together, actor.act(observations), atol=1e-5)
-    alone = [graph.run({"observation": observations[i : i + 1]})[0][0] for i in range(6)]
-    np.testing.assert_array_equal(alone, together)
+    check_graph(worlds, features, tmp_path)
 
 
 def test_only_the_task_with_boxes_has_such_features(worlds):
