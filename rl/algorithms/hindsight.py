@@ -1,6 +1,6 @@
-"""Hindsight experience replay (Andrychowicz et al. 2017) for the reach task, by Stable-Baselines3's buffer.
+"""Hindsight experience replay (Andrychowicz et al. 2017), by Stable-Baselines3's buffer, for tasks that declare `goals`.
 
-An episode that missed its target has reached other positions: with one of them as the target, it is a success.
+An episode that missed its target has brought things to other places: with one of them as the target, it is a success.
 """
 
 from collections.abc import Mapping
@@ -14,67 +14,66 @@ from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
+from armctl.rl.data.demonstrations import slices_of_parts
 from armctl.rl.networks.frames import FrameFeatures
 from armctl.rl.networks.view import View
 from armctl.rl.run.vector import EncodedVectorEnv
-from armctl.tasks.reach import observation_sizes
-from armctl.tasks.reach.state import GOAL_REWARD, STEP_REWARD
+from armctl.tasks.reach.state import STEP_REWARD
 
-POSITION = observation_sizes(dof=0)["target_position"]
-"""Count of numbers of a position: the task's observation begins with the end-effector's, and ends with the target's."""
-
-
-def split(stacks: Any) -> dict[str, Any]:
-    """Return stacks of observations (..., frames, 6 + dof), arrays or tensors, as a goal-conditioned environment's.
-
-    What is left of them without the target is `observation` (..., frames, 3 + dof).
-    """
-    without_goal = stacks[..., :-POSITION]
-    return {
-        "achieved_goal": without_goal[..., -1, :POSITION],
-        "desired_goal": stacks[..., -1, -POSITION:],
-        "observation": without_goal,
-    }
-
-
-def joined(observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
-    """Return stacks (n, frames, 6 + dof) in which each frame has the goal that is desired: the inverse of `split`."""
-    without_goal, goal = observations["observation"], observations["desired_goal"]
-    return torch.cat((without_goal, goal[:, None].expand(-1, without_goal.shape[1], -1)), dim=2)
+ACHIEVED, DESIRED = "achieved_goal", "desired_goal"
 
 
 class GoalVectorEnv(EncodedVectorEnv):
-    """Reach worlds with `achieved_goal`, the end-effector's position, and `desired_goal`, the target's (m)."""
+    """Worlds with goals: `observation` (n, frames, k), and `achieved_goal` and `desired_goal`, of the state."""
 
     takes_features = False  # hindsight changes the goals of what it has stored
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         worlds = self.env.unwrapped
-        self.tolerance, self.reward_scale = worlds.task.options.tolerance, worlds.reward_scale
-        low, high = split(self.encoder.space.low), split(self.encoder.space.high)
-        self.observation_space = spaces.Dict({name: spaces.Box(low[name], high[name]) for name in low})
+        self.task, self.reward_scale = worlds.task, worlds.reward_scale
+        self.goals = self.task.goals
+        begin = slices_of_parts(self.task)[self.goals.part].start
+        self.shown = slice(begin, begin + self.goals.size)
+        """Numbers of each frame that tell the desired goal."""
+        worlds.observers.append(self)
+        size = self.goals.desired(self.task.state).shape[1:]
+        goal = spaces.Box(-np.inf, np.inf, size, np.float64)
+        self.observation_space = spaces.Dict({"observation": self.encoder.space, ACHIEVED: goal, DESIRED: goal})
+
+    def began(self, ids: NDArray[np.int32]) -> None:
+        """Take note that worlds `ids` have begun a new episode."""
+
+    def stepped(self, awake: NDArray[np.bool_]) -> None:
+        """Keep the goals of a control step, before ended episodes are replaced."""
+        self._last_goals = self._goals_by_name()
 
     def reset(self) -> Any:
         """Start new episodes in all worlds."""
-        return split(super().reset())
+        return {"observation": super().reset(), **self._goals_by_name()}
 
     def step_wait(self) -> Any:
         """Step all worlds."""
         observations, rewards, done, infos = super().step_wait()
         for i in np.flatnonzero(done):
-            infos[i]["terminal_observation"] = split(infos[i]["terminal_observation"])
-        return split(observations), rewards, done, infos
+            goals = {name: values[i] for name, values in self._last_goals.items()}
+            infos[i]["terminal_observation"] = {"observation": infos[i]["terminal_observation"], **goals}
+        return {"observation": observations, **self._goals_by_name()}, rewards, done, infos
 
     @property
     def policy_kwargs(self) -> dict[str, Any]:
-        """Arguments of a policy for the features of observations and goals."""
+        """Arguments of a policy for the features of observations."""
         return {"features_extractor_class": GoalFeatures, "features_extractor_kwargs": {"view": self.view}}
 
-    def compute_reward(self, achieved: NDArray[np.floating[Any]], desired: NDArray[np.floating[Any]]) -> Any:
-        """Return the scaled reward (n,) of steps that end at `achieved` (n, 3), for targets `desired` (n, 3)."""
-        reached = np.linalg.norm(achieved - desired, axis=1) <= self.tolerance
-        return self.reward_scale * (STEP_REWARD + GOAL_REWARD * reached)
+    def show(self, observations: Mapping[str, torch.Tensor]) -> None:
+        """Let observations by name show their desired goals in all frames."""
+        goals = observations[DESIRED][:, None, : self.goals.size]
+        observations["observation"][..., self.shown] = goals.to(observations["observation"].dtype)
+
+    def compute_reward(self, achieved: NDArray[Any], desired: NDArray[Any]) -> Any:
+        """Return the scaled reward (n,) of steps that end at goals `achieved` (n, k) where others are `desired`."""
+        reached = self.goals.reached(achieved, desired)
+        return self.reward_scale * (STEP_REWARD + self.task.options.goal_reward * reached)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """Call a method once, for all worlds."""
@@ -82,23 +81,26 @@ class GoalVectorEnv(EncodedVectorEnv):
             return [self.compute_reward(*args[:2])]
         return super().env_method(method_name, *args, indices=indices, **kwargs)
 
+    def _goals_by_name(self) -> dict[str, NDArray[np.float64]]:
+        state = self.task.state
+        return {ACHIEVED: np.array(self.goals.achieved(state)), DESIRED: np.array(self.goals.desired(state))}
+
 
 class GoalFeatures(BaseFeaturesExtractor):
-    """A view's features of the stacks of which goals were split."""
+    """A view's features of stacks of observations, which show their goals."""
 
     def __init__(self, observation_space: spaces.Dict, view: View) -> None:
-        frames, size = observation_space["observation"].shape  # type: ignore[misc]
-        features = FrameFeatures(spaces.Box(-np.inf, np.inf, (frames, size + POSITION)), view)
+        features = FrameFeatures(observation_space["observation"], view)
         super().__init__(observation_space, features.features_dim)
         self.features = features
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features (n, k) of observations by name."""
-        return self.features(joined(observations))
+        return self.features(observations["observation"])
 
 
 class HindsightBuffer(HerReplayBuffer):
-    """A replay buffer in which relabelled successes end their episode, as successes do in the task.
+    """A replay buffer in which relabelled transitions end their episode as in the task: by success and by failure.
 
     Stable-Baselines3's own would bootstrap beyond them.
     """
@@ -107,7 +109,17 @@ class HindsightBuffer(HerReplayBuffer):
         super().__init__(*args, **kwargs)
         self.infos = np.empty(0)  # unused: a dict for each transition
 
-    def _get_virtual_samples(self, *args: Any) -> DictReplayBufferSamples:
-        samples = super()._get_virtual_samples(*args)
-        reached = samples.rewards > self.env.reward_scale * STEP_REWARD
-        return samples._replace(dones=reached.float())
+    def _get_virtual_samples(
+        self, batch_indices: NDArray[np.intp], env_indices: NDArray[np.intp], env: Any = None
+    ) -> DictReplayBufferSamples:
+        samples = super()._get_virtual_samples(batch_indices, env_indices, env)
+        worlds: Any = self.env
+        worlds.show(samples.observations)
+        worlds.show(samples.next_observations)
+        at = batch_indices, env_indices
+        own, desired = (self.next_observations[name][at] for name in (ACHIEVED, DESIRED))
+        is_terminal = self.dones[at] > self.timeouts[at]
+        failed = self.to_torch(is_terminal & ~worlds.goals.reached(own, desired))[:, None]
+        reached = samples.rewards > worlds.reward_scale * STEP_REWARD
+        rewards = torch.where(failed, self.to_torch(self.rewards[at])[:, None], samples.rewards)
+        return samples._replace(rewards=rewards, dones=(failed | reached).float())

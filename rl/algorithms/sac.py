@@ -1,6 +1,7 @@
-"""Soft actor-critic (Haarnoja et al. 2018), by Stable-Baselines3; with hindsight experience replay in the reach task.
+"""Soft actor-critic (Haarnoja et al. 2018), by Stable-Baselines3; with hindsight in tasks that declare goals.
 
-`armctl train reach_sac` runs this.
+`armctl train reach_sac` runs this. A recipe's teacher acts at first, where random actions would show no success: its
+transitions are in the replay buffer from the beginning.
 """
 
 import warnings
@@ -16,14 +17,14 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, Vectori
 from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, NonNegative, Positive, Share, options
-from armctl.rl.algorithms.hindsight import GoalVectorEnv, HindsightBuffer, split
+from armctl.policies import Policy
+from armctl.rl.algorithms.hindsight import GoalVectorEnv, HindsightBuffer
 from armctl.rl.algorithms.sb3_training import REPLAY, decaying, learn
+from armctl.rl.data.demonstrations import teacher_in
 from armctl.rl.run.learner import learner
 from armctl.rl.run.options import FrameOptions
 from armctl.rl.run.training import Training
 from armctl.rl.run.vector import EncodedVectorEnv, StableBaselinesVectorEnv, vec_env_of
-from armctl.tasks import ReachTask
-from armctl.tasks.reach import OBSERVATION
 from armctl.training.learners import Recipe
 
 NOISE_TIME_CONSTANT = 10
@@ -46,11 +47,11 @@ class SacOptions(FrameOptions):
     buffer_size: Count = 300_000
     """Size of the replay buffer, transitions."""
     random_steps: Count = 3_000
-    """Environment steps with uniformly random actions, at first."""
+    """Environment steps at first with uniformly random actions, or with those of the recipe's teacher."""
     noise: NonNegative = 0.4
     """Scale of the correlated exploration noise in the last world; it grows from 0 in the first world."""
     relabelled: Annotated[int, Field(ge=0)] = 4
-    """Relabelled transitions for each real one, in `armctl/ArmReach-v0`."""
+    """Relabelled transitions for each real one, in `armctl/ArmReach-v0` and `armctl/ArmPush-v0`."""
     entropy: Positive = 0.1
     """Initial weight of the action distribution's entropy. It is tuned during training."""
     target_entropy: float = -1.0
@@ -73,6 +74,8 @@ def train(training: Training, options: SacOptions) -> AgentCard:
     vec_env = _make_vec_env(training, options)
     newest = training.newest_checkpoint()
     model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env)
+    if training.recipe.teacher is not None:
+        model.teacher = teacher_in(training.envs.unwrapped, training.recipe, training.seed)
     training.meter.watch(model.policy.critic.optimizer)
     with training:
         network = SquashedMean(model.policy, goals=isinstance(vec_env, GoalVectorEnv))
@@ -82,18 +85,42 @@ def train(training: Training, options: SacOptions) -> AgentCard:
 class StoredAsExecuted(SAC):
     """SAC that remembers the actions that were executed, also where a safety filter changed them.
 
-    What it learns from is then what happens; PPO needs the proposed ones, whose likelihood it changes.
+    What it learns from is then what happens; PPO needs the proposed ones, whose likelihood it changes. While nothing is
+    learned yet, its `teacher` acts, if it has one.
     """
+
+    teacher: Policy | None = None
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "teacher"]
+
+    def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
+        ready = super()._setup_learn(*args, **kwargs)
+        if self.teacher is not None:
+            self.teacher.reset(np.arange(self.n_envs, dtype=np.int32))
+        return ready
+
+    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
+        if self.teacher is None or self.num_timesteps >= learning_starts:
+            return super()._sample_action(learning_starts, action_noise, n_envs)
+        assert isinstance(self.env, StableBaselinesVectorEnv)
+        actions = self.env.actions_of(self.teacher)
+        if action_noise is not None:
+            actions = np.clip(actions + action_noise(), -1, 1).astype(np.float32)
+        return actions, actions
 
     def _store_transition(self, replay_buffer: Any, buffer_action: Any, *others: Any) -> None:
         assert isinstance(self.env, StableBaselinesVectorEnv)
         super()._store_transition(replay_buffer, self.env.executed(buffer_action), *others)
+        dones = others[2]
+        if self.teacher is not None and dones.any():
+            self.teacher.reset(np.flatnonzero(dones).astype(np.int32))
 
 
 class SquashedMean(torch.nn.Module):
     """The mean of a policy's action distribution, squashed into [-1, 1].
 
-    A goal-conditioned policy has `goals` split from observations.
+    A policy with `goals` sees observations by name.
     """
 
     def __init__(self, policy: torch.nn.Module, *, goals: bool) -> None:
@@ -102,14 +129,14 @@ class SquashedMean(torch.nn.Module):
 
     def forward(self, observation: Any) -> torch.Tensor:
         """Return actions (n, ...) for observations of the task, or stacks of them."""
-        split_observation = split(observation) if self.goals else observation
-        return torch.tanh(self.actor.get_action_dist_params(split_observation)[0])
+        seen = {"observation": observation} if self.goals else observation
+        return torch.tanh(self.actor.get_action_dist_params(seen)[0])
 
 
 def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
     task = training.envs.unwrapped.task
-    with_goals = options.relabelled and type(task) is ReachTask
-    if with_goals and list(task.options.parts) != list(OBSERVATION):
+    with_goals = options.relabelled and task.goals is not None
+    if with_goals and list(task.options.parts) != list(task.options.observations["paper"]):
         raise ConfigurationError(
             "hindsight knows the observation 'paper' only: choose that, or set the option relabelled to 0"
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from armctl.envs import one_of
 from armctl.envs.observations import stacked
 from armctl.integrations.sb3 import VecEnv
+from armctl.policies import Policy
 from armctl.rl.networks.actor import Actor, numpy_arrays, tensors
 from armctl.rl.networks.encoder import Encoded, Encoder
 from armctl.rl.networks.frames import FeatureHistory, History
@@ -51,6 +52,11 @@ class StableBaselinesVectorEnv(VecEnv):
         commands, changed = self.env.executed
         inverse = self._action_scale.inverse(tensors(self._acted_on), torch.as_tensor(commands, dtype=torch.float32))
         return np.where(changed[:, None], inverse.numpy(), actions)
+
+    def actions_of(self, policy: Policy) -> NDArray[Any]:
+        """Return the actions (n, k) in [-1, 1] of a policy of the environment's for the present observations."""
+        commands = torch.as_tensor(np.asarray(policy.act(self._observations)), dtype=torch.float32)
+        return self._action_scale.inverse(tensors(self._observations), commands).numpy()
 
     def _commands(self, actions: NDArray[Any]) -> Any:
         self._acted_on = self._observations

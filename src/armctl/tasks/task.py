@@ -19,6 +19,7 @@ from armctl.disturbances import GENERIC, DisturbanceSpec
 from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.planning_model import Connect
+from armctl.tasks.goals import Goals
 from armctl.tasks.learner_view import LearnerView
 
 Ids = NDArray[np.int32]
@@ -314,6 +315,11 @@ class Task(TaskFacts):
     def learner_view(self) -> LearnerView:
         """Features and relative actions for learners: by default the bare observation, and none."""
         return LearnerView()
+
+    @property
+    def goals(self) -> Goals | None:
+        """Goals for hindsight; by default None: success is not a function of one."""
+        return None
 
     @property
     def action_range(self) -> tuple[NDArray[Any], NDArray[Any]]:

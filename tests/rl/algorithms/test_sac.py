@@ -9,7 +9,7 @@ from stable_baselines3.common.save_util import load_from_pkl
 from armctl.agents import load_agent
 from armctl.core.errors import ConfigurationError
 from armctl.envs import TaskVectorEnv
-from armctl.rl.algorithms.hindsight import GoalVectorEnv, split
+from armctl.rl.algorithms.hindsight import GoalVectorEnv
 from armctl.rl.algorithms.sac import SacOptions, _make_vec_env, _noise, train
 from armctl.rl.algorithms.sb3_training import REPLAY
 from armctl.rl.networks.frames import History
@@ -65,7 +65,7 @@ def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
     worlds = TaskVectorEnv(50, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
     model = checkpoint(out, card.best_after)
-    raw = model.predict(split(np.stack([np.asarray(observations)] * 2, axis=1)), deterministic=True)[0]
+    raw = model.predict(_by_name(np.stack([np.asarray(observations)] * 2, axis=1)), deterministic=True)[0]
     assert np.ptp(raw) > 0.01
     expected = observations[:, 3:9] + 0.5 * raw
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
@@ -157,4 +157,4 @@ def test_hindsight_has_the_tolerance_of_the_training(tmp_path):
     chosen = small().changed(training_options={"tolerance": 0.2})
     training = Training(chosen, chosen.read_options(SacOptions), tmp_path / "run", 0, False)
     assert training.held_out.task.options.tolerance == 0.05
-    assert _make_vec_env(training, training.options).tolerance == 0.2
+    assert _make_vec_env(training, training.options).task.options.tolerance == 0.2

@@ -87,6 +87,12 @@ The features have velocities here: hindsight learns to stay at a goal, which nee
 """
 
 
+def observed_distances(positions: Array, targets: Array) -> Any:
+    """Return distances (m) of positions from targets (..., 3), rounded as they are observed."""
+    offset = np.float32(targets).astype(float) - np.float32(positions)
+    return np.sqrt((offset * offset).sum(axis=-1))
+
+
 def observation_sizes(dof: int) -> dict[str, int]:
     """Return how many numbers each part of `OBSERVATION` has, in order, for an arm of `dof` joints."""
     return {"end_effector_position": 3, "joint_positions": dof, "target_position": 3}

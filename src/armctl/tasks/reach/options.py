@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import field
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -10,7 +11,8 @@ from pydantic import AfterValidator, Field, Strict
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, options
 from armctl.robot_description import ArmDescription
-from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL
+from armctl.tasks.goals import Goals
+from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL, observed_distances
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, Term
 from armctl.tasks.task import OneTimeTerm
 
@@ -87,6 +89,19 @@ class ReachOptions:
         if not isinstance(goal, OneTimeTerm) or goal.bounds != (0.0, GOAL_REWARD):
             raise ConfigurationError("goal_reward is for the task's own reward, not for named terms")
         return {**self.reward, "goal": OneTimeTerm(lambda state: share * goal(state), (0.0, self.goal_reward))}
+
+    @property
+    def goals(self) -> Goals | None:
+        """End-effector and target, (n, 3) m each, for hindsight; None without `has_goals`."""
+        if not self.has_goals:
+            return None
+        return Goals(
+            achieved=attrgetter("end_effector_position"),
+            desired=attrgetter("target_position"),
+            reached=lambda achieved, desired: observed_distances(achieved, desired) <= self.tolerance,
+            part="target_position",
+            size=3,
+        )
 
     @property
     def parts(self) -> Mapping[str, Term]:

@@ -23,6 +23,7 @@ from armctl.robots.joints import JointSamples
 from armctl.simulation import Simulation
 from armctl.simulation.control_step import NO_PARTS
 from armctl.simulation.impacts import DEPTH
+from armctl.tasks.goals import Goals
 from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.reach.observation import (
     HIDDEN,
@@ -31,6 +32,7 @@ from armctl.tasks.reach.observation import (
     Bounds,
     bounds_of_parts,
     observation_slices,
+    observed_distances,
 )
 from armctl.tasks.reach.options import ReachOptions
 from armctl.tasks.reach.potentials import MinimumTime, MpcCost
@@ -175,6 +177,11 @@ class ReachTask(Task):
             invariant_features=invariant if self._workspace.model.base_yaw_is_vertical else None,
         )
 
+    @property
+    def goals(self) -> Goals | None:
+        """Goals of the options."""
+        return self.options.goals
+
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Move arms to home, and targets to random positions."""
         self.simulation.reset(ids)
@@ -222,7 +229,7 @@ class ReachTask(Task):
 
     def compute_terminated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
         """Return whether the episode would have ended: the end-effector is within the tolerance of the goal."""
-        return _distances(achieved_goal, desired_goal) <= self.options.tolerance
+        return observed_distances(achieved_goal, desired_goal) <= self.options.tolerance
 
     def compute_truncated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
         """Return False: the time limit has nothing to do with the goal."""
@@ -341,9 +348,3 @@ class ReachTask(Task):
         distances = np.empty(self.n)
         distances_as_observed(self.arm.end_effector_positions, self._targets, distances)
         return distances
-
-
-def _distances(positions: Array, targets: Array) -> Any:
-    """Return distances (m) of positions from targets (..., 3), rounded as they are observed."""
-    offset = np.float32(targets).astype(float) - np.float32(positions)
-    return np.sqrt((offset * offset).sum(axis=-1))
