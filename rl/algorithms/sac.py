@@ -48,6 +48,9 @@ class SacOptions(FrameOptions):
     """Size of the replay buffer, transitions."""
     random_steps: Count = 3_000
     """Environment steps at first with uniformly random actions, or with those of the recipe's teacher."""
+    imitation: NonNegative = 0.0
+    """Weight in the actor's loss of minus the log-likelihood of the teacher's actions, in the states of its steps (as
+    in Nair et al., Overcoming exploration in reinforcement learning with demonstrations, 2018)."""
     noise: NonNegative = 0.4
     """Scale of the correlated exploration noise in the last world; it grows from 0 in the first world."""
     relabelled: Annotated[int, Field(ge=0)] = 4
@@ -75,7 +78,8 @@ def train(training: Training, options: SacOptions) -> AgentCard:
     newest = training.newest_checkpoint()
     model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env)
     if training.recipe.teacher is not None:
-        model.teacher = teacher_in(training.envs.unwrapped, training.recipe, training.seed)
+        teacher = teacher_in(training.envs.unwrapped, training.recipe, training.seed)
+        model.be_taught(teacher, options.random_steps, options.imitation)
     training.meter.watch(model.policy.critic.optimizer)
     with training:
         network = SquashedMean(model.policy, goals=isinstance(vec_env, GoalVectorEnv))
@@ -86,13 +90,29 @@ class StoredAsExecuted(SAC):
     """SAC that remembers the actions that were executed, also where a safety filter changed them.
 
     What it learns from is then what happens; PPO needs the proposed ones, whose likelihood it changes. While nothing is
-    learned yet, its `teacher` acts, if it has one.
+    learned yet, its `teacher` acts, if it has one; then its actor also imitates those actions, by the weight `imitation`.
     """
 
     teacher: Policy | None = None
+    taught_steps = 0
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "teacher"]
+        return [*super()._excluded_save_params(), "teacher", "taught_steps"]
+
+    def be_taught(self, teacher: Policy, steps: int, imitation: float) -> None:
+        """Let a teacher act in the first environment steps, and imitate it with a weight in the actor's loss."""
+        self.teacher, self.taught_steps = teacher, steps
+        if imitation:
+            self.actor.optimizer.register_step_pre_hook(lambda *_: (-imitation * self._likelihood()).backward())
+
+    def _likelihood(self) -> torch.Tensor:
+        """Return the mean log-likelihood of the teacher's actions in a batch of its steps."""
+        buffer: Any = self.replay_buffer
+        rows = min(self.num_timesteps, self.taught_steps) // self.n_envs
+        steps, worlds = (np.random.randint(count, size=self.batch_size) for count in (rows, self.n_envs))
+        samples = buffer._get_real_samples(steps, worlds)
+        means, log_stds, _ = self.actor.get_action_dist_params(samples.observations)
+        return self.actor.action_dist.proba_distribution(means, log_stds).log_prob(samples.actions).mean()
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         ready = super()._setup_learn(*args, **kwargs)
@@ -101,7 +121,7 @@ class StoredAsExecuted(SAC):
         return ready
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
-        if self.teacher is None or self.num_timesteps >= learning_starts:
+        if self.teacher is None or self.num_timesteps >= self.taught_steps:
             return super()._sample_action(learning_starts, action_noise, n_envs)
         assert isinstance(self.env, StableBaselinesVectorEnv)
         actions = self.env.actions_of(self.teacher)
@@ -153,7 +173,7 @@ def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: S
         vec_env,
         learning_rate=decaying(options.learning_rate),
         buffer_size=options.buffer_size,
-        learning_starts=max(options.random_steps, longest),
+        learning_starts=longest if training.recipe.teacher else max(options.random_steps, longest),
         batch_size=options.batch_size,
         tau=options.tau,
         gamma=options.gamma,

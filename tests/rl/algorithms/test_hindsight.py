@@ -132,7 +132,10 @@ def test_features_of_goals_are_those_of_stacks_with_another_target(frames):
     ))  # fmt: skip
     shown = {name: torch.as_tensor(part) for name, part in shown.items()}
     elsewhere = shown | {"desired_goal": shown["desired_goal"].flip(0)}
-    stacks = joined(elsewhere)
-    assert (stacks[:, :, -3:] == shown["desired_goal"].flip(0)[:, None]).all()
+    elsewhere["observation"] = shown["observation"].clone()
+    venv.show(elsewhere)
+    stacks = elsewhere["observation"]
+    assert (stacks[:, :, -3:] == shown["desired_goal"].flip(0)[:, None].float()).all()
+    assert (stacks[:, :, :-3] == shown["observation"][:, :, :-3]).all()
     torch.testing.assert_close(goals(elsewhere), plain(stacks))
     assert not torch.allclose(goals(elsewhere), goals(shown))
