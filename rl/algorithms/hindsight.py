@@ -1,4 +1,4 @@
-"""Hindsight experience replay (Andrychowicz et al. 2017), by Stable-Baselines3's buffer, for tasks that declare `goals`.
+"""Hindsight experience replay (Andrychowicz et al. 2017), by Stable-Baselines3's buffer, in tasks with goals.
 
 An episode that missed its target has brought things to other places: with one of them as the target, it is a success.
 """

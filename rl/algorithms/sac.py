@@ -1,7 +1,7 @@
 """Soft actor-critic (Haarnoja et al. 2018), by Stable-Baselines3; with hindsight in tasks that declare goals.
 
-`armctl train reach_sac` runs this. A recipe's teacher acts at first, where random actions would show no success: its
-transitions are in the replay buffer from the beginning.
+`armctl train reach_sac` runs this. Where random actions would never succeed, a recipe's teacher acts at first, and the
+actor may imitate it: `armctl train push_sac`.
 """
 
 import warnings
@@ -17,7 +17,6 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, Vectori
 from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, NonNegative, Positive, Share, options
-from armctl.policies import Policy
 from armctl.rl.algorithms.hindsight import GoalVectorEnv, HindsightBuffer
 from armctl.rl.algorithms.sb3_training import REPLAY, decaying, learn
 from armctl.rl.data.demonstrations import teacher_in
@@ -47,10 +46,11 @@ class SacOptions(FrameOptions):
     buffer_size: Count = 300_000
     """Size of the replay buffer, transitions."""
     random_steps: Count = 3_000
-    """Environment steps at first with uniformly random actions, or with those of the recipe's teacher."""
+    """Environment steps with uniformly random actions, at first, before learning begins; or with those of the recipe's
+    teacher, during which it begins."""
     imitation: NonNegative = 0.0
-    """Weight in the actor's loss of minus the log-likelihood of the teacher's actions, in the states of its steps (as
-    in Nair et al., Overcoming exploration in reinforcement learning with demonstrations, 2018)."""
+    """Initial weight in the actor's loss of minus the log-likelihood of what the teacher did in these steps (as in Nair
+    et al., Overcoming exploration in reinforcement learning with demonstrations, 2018). It decays to 0, linearly."""
     noise: NonNegative = 0.4
     """Scale of the correlated exploration noise in the last world; it grows from 0 in the first world."""
     relabelled: Annotated[int, Field(ge=0)] = 4
@@ -63,23 +63,27 @@ class SacOptions(FrameOptions):
     evaluation_every: Count = 20_000
 
 
-def _check_relabelling(recipe: Recipe, options: SacOptions) -> None:
+def _check(recipe: Recipe, options: SacOptions) -> None:
     if options.relabelled and (recipe.shaping or recipe.reward_weights or "reward" in recipe.options_in_training):
         raise ConfigurationError(
             "relabelled transitions earn the task's plain reward: with shaping, reward_weights or another reward, "
             "set the option relabelled to 0"
         )
+    if options.imitation and (recipe.teacher is None or options.buffer_size < options.steps):
+        raise ConfigurationError(
+            "imitation is of a teacher, whose steps the replay buffer has to keep: name it, --teacher POLICY, and set "
+            "buffer_size to steps at least"
+        )
 
 
-@learner(SacOptions, curriculum=False, check=_check_relabelling)
+@learner(SacOptions, curriculum=False, check=_check)
 def train(training: Training, options: SacOptions) -> AgentCard:
     """Improve a new actor by the rewards of all transitions so far, real ones and relabelled ones."""
     vec_env = _make_vec_env(training, options)
     newest = training.newest_checkpoint()
-    model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env)
-    if training.recipe.teacher is not None:
-        teacher = teacher_in(training.envs.unwrapped, training.recipe, training.seed)
-        model.be_taught(teacher, options.random_steps, options.imitation)
+    model = _new_model(vec_env, training, options) if newest is None else _load(newest, vec_env, training)
+    if isinstance(model, TaughtSac):
+        model.follow(training, options)
     training.meter.watch(model.policy.critic.optimizer)
     with training:
         network = SquashedMean(model.policy, goals=isinstance(vec_env, GoalVectorEnv))
@@ -89,52 +93,58 @@ def train(training: Training, options: SacOptions) -> AgentCard:
 class StoredAsExecuted(SAC):
     """SAC that remembers the actions that were executed, also where a safety filter changed them.
 
-    What it learns from is then what happens; PPO needs the proposed ones, whose likelihood it changes. While nothing is
-    learned yet, its `teacher` acts, if it has one; then its actor also imitates those actions, by the weight `imitation`.
+    What it learns from is then what happens; PPO needs the proposed ones, whose likelihood it changes.
     """
-
-    teacher: Policy | None = None
-    taught_steps = 0
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "teacher", "taught_steps"]
-
-    def be_taught(self, teacher: Policy, steps: int, imitation: float) -> None:
-        """Let a teacher act in the first environment steps, and imitate it with a weight in the actor's loss."""
-        self.teacher, self.taught_steps = teacher, steps
-        if imitation:
-            self.actor.optimizer.register_step_pre_hook(lambda *_: (-imitation * self._likelihood()).backward())
-
-    def _likelihood(self) -> torch.Tensor:
-        """Return the mean log-likelihood of the teacher's actions in a batch of its steps."""
-        buffer: Any = self.replay_buffer
-        rows = min(self.num_timesteps, self.taught_steps) // self.n_envs
-        steps, worlds = (np.random.randint(count, size=self.batch_size) for count in (rows, self.n_envs))
-        samples = buffer._get_real_samples(steps, worlds)
-        means, log_stds, _ = self.actor.get_action_dist_params(samples.observations)
-        return self.actor.action_dist.proba_distribution(means, log_stds).log_prob(samples.actions).mean()
-
-    def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
-        ready = super()._setup_learn(*args, **kwargs)
-        if self.teacher is not None:
-            self.teacher.reset(np.arange(self.n_envs, dtype=np.int32))
-        return ready
-
-    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
-        if self.teacher is None or self.num_timesteps >= self.taught_steps:
-            return super()._sample_action(learning_starts, action_noise, n_envs)
-        assert isinstance(self.env, StableBaselinesVectorEnv)
-        actions = self.env.actions_of(self.teacher)
-        if action_noise is not None:
-            actions = np.clip(actions + action_noise(), -1, 1).astype(np.float32)
-        return actions, actions
 
     def _store_transition(self, replay_buffer: Any, buffer_action: Any, *others: Any) -> None:
         assert isinstance(self.env, StableBaselinesVectorEnv)
         super()._store_transition(replay_buffer, self.env.executed(buffer_action), *others)
-        dones = others[2]
-        if self.teacher is not None and dones.any():
-            self.teacher.reset(np.flatnonzero(dones).astype(np.int32))
+
+
+class TaughtSac(StoredAsExecuted):
+    """SAC in whose first steps a teacher acts, with exploration noise, and whose actor may imitate these steps.
+
+    `follow` is to be called before it learns.
+    """
+
+    def follow(self, training: Training, options: SacOptions) -> None:
+        """Let a recipe's teacher act in the first steps, and add the imitation to the actor's loss."""
+        self._teacher = teacher_in(training.envs.unwrapped, training.recipe, training.seed)
+        self._meter, self._taught_steps = training.meter, options.random_steps
+        if options.imitation:
+            self.actor.optimizer.register_step_pre_hook(lambda *_: self._imitate(options.imitation))
+
+    def likelihood(self) -> torch.Tensor:
+        """Return the mean log-likelihood of the actions in a batch of the teacher's steps."""
+        buffer: Any = self.replay_buffer
+        rows = min(self.num_timesteps, self._taught_steps) // self.n_envs
+        samples = buffer._get_samples(self.action_space.np_random.integers(rows, size=self.batch_size))
+        means, log_stds, _ = self.actor.get_action_dist_params(samples.observations)
+        return self.actor.action_dist.proba_distribution(means, log_stds).log_prob(samples.actions).mean()
+
+    def _imitate(self, weight: float) -> None:
+        (-weight * self._current_progress_remaining * self.likelihood()).backward()
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_teacher", "_meter", "_taught_steps"]
+
+    def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
+        ready = super()._setup_learn(*args, **kwargs)
+        self._teacher.reset(np.arange(self.n_envs, dtype=np.int32))
+        return ready
+
+    def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
+        if self.num_timesteps >= self._taught_steps:
+            return super()._sample_action(learning_starts, action_noise, n_envs)
+        assert isinstance(self.env, StableBaselinesVectorEnv)
+        self._meter.add(teacher_queries=n_envs)
+        actions = np.clip(self.env.actions_of(self._teacher) + action_noise(), -1, 1)
+        return actions, actions
+
+    def _store_transition(self, replay_buffer: Any, buffer_action: Any, *others: Any) -> None:
+        super()._store_transition(replay_buffer, buffer_action, *others)
+        _, _, dones, _ = others
+        self._teacher.reset(np.flatnonzero(dones).astype(np.int32))
 
 
 class SquashedMean(torch.nn.Module):
@@ -165,15 +175,15 @@ def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVec
 
 
 def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: SacOptions) -> StoredAsExecuted:
-    goals = isinstance(vec_env, GoalVectorEnv)
+    goals, kind = isinstance(vec_env, GoalVectorEnv), _kind(training)
     # The hindsight buffer samples from finished episodes only.
     longest = (training.held_out.max_episode_steps or 0) * options.worlds if goals else 0
-    return StoredAsExecuted(
+    return kind(
         vec_env.policy_class,
         vec_env,
         learning_rate=decaying(options.learning_rate),
         buffer_size=options.buffer_size,
-        learning_starts=longest if training.recipe.teacher else max(options.random_steps, longest),
+        learning_starts=longest if kind is TaughtSac else max(options.random_steps, longest),
         batch_size=options.batch_size,
         tau=options.tau,
         gamma=options.gamma,
@@ -193,6 +203,10 @@ def _new_model(vec_env: StableBaselinesVectorEnv, training: Training, options: S
     )
 
 
+def _kind(training: Training) -> type[StoredAsExecuted]:
+    return StoredAsExecuted if training.recipe.teacher is None else TaughtSac
+
+
 def _noise(options: SacOptions, shape: tuple[int, ...]) -> VectorizedActionNoise:
     """Return noise of Ornstein and Uhlenbeck (1930). It moves an arm; noise without correlation averages out."""
     mean = np.zeros(shape)
@@ -205,8 +219,8 @@ def _noise(options: SacOptions, shape: tuple[int, ...]) -> VectorizedActionNoise
     return noise
 
 
-def _load(checkpoint: Path, vec_env: StableBaselinesVectorEnv) -> StoredAsExecuted:
-    model = StoredAsExecuted.load(checkpoint, vec_env, "cpu")
+def _load(checkpoint: Path, vec_env: StableBaselinesVectorEnv, training: Training) -> StoredAsExecuted:
+    model = _kind(training).load(checkpoint, vec_env, "cpu")
     replay = checkpoint.with_name(REPLAY)
     if not replay.exists():
         raise ConfigurationError(f"the training cannot be resumed without {replay}")

@@ -65,7 +65,7 @@ def test_exported_graph_is_the_squashed_mean_of_plain_observations(trained):
     worlds = TaskVectorEnv(50, task=ReachTask)
     observations, _ = worlds.reset(seed=0)
     model = checkpoint(out, card.best_after)
-    raw = model.predict(_by_name(np.stack([np.asarray(observations)] * 2, axis=1)), deterministic=True)[0]
+    raw = model.predict({"observation": np.stack([np.asarray(observations)] * 2, axis=1)}, deterministic=True)[0]
     assert np.ptp(raw) > 0.01
     expected = observations[:, 3:9] + 0.5 * raw
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
