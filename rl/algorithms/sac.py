@@ -102,8 +102,9 @@ class StoredAsExecuted(SAC):
 
 
 class TaughtSac(StoredAsExecuted):
-    """SAC in whose first steps a teacher acts, with exploration noise, and whose actor may imitate these steps.
+    """SAC in whose first steps a teacher acts, and whose actor may imitate these steps.
 
+    Both explore by correlated noise alone: noise that is new in each step makes a hand tremble that has to be precise.
     `follow` is to be called before it learns.
     """
 
@@ -134,11 +135,13 @@ class TaughtSac(StoredAsExecuted):
         return ready
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
-        if self.num_timesteps >= self._taught_steps:
-            return super()._sample_action(learning_starts, action_noise, n_envs)
-        assert isinstance(self.env, StableBaselinesVectorEnv)
-        self._meter.add(teacher_queries=n_envs)
-        actions = np.clip(self.env.actions_of(self._teacher) + action_noise(), -1, 1)
+        if self.num_timesteps < self._taught_steps:
+            assert isinstance(self.env, StableBaselinesVectorEnv)
+            self._meter.add(teacher_queries=n_envs)
+            actions = self.env.actions_of(self._teacher)
+        else:
+            actions, _ = self.predict(self._last_obs, deterministic=True)
+        actions = np.clip(actions + action_noise(), -1, 1)
         return actions, actions
 
     def _store_transition(self, replay_buffer: Any, buffer_action: Any, *others: Any) -> None:

@@ -236,8 +236,10 @@ class Task(TaskFacts):
         """Physics steps between two control steps."""
 
     def __init_subclass__(cls) -> None:
-        """Check the subclass's outcomes."""
+        """Check the subclass's outcomes, and inherit no goals."""
         super().__init_subclass__()
+        if "goals" not in vars(cls):
+            cls.goals = Task.goals  # type: ignore[method-assign]
         names = {member.value: member.name for member in getattr(cls, "outcomes", ())}
         if names and (sorted(names) != list(range(len(names))) or names[0] != "TIMEOUT"):
             raise ConfigurationError(
@@ -318,7 +320,7 @@ class Task(TaskFacts):
 
     @property
     def goals(self) -> Goals | None:
-        """Goals for hindsight; by default None: success is not a function of one."""
+        """Goals for hindsight; None by default, and in subclasses of a task with goals: their success may be another."""
         return None
 
     @property

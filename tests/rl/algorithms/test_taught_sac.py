@@ -59,7 +59,7 @@ def test_the_teacher_acts_first(tmp_path):
         return shown[-1]
 
     env.actions_of = noting
-    model.learn(240)
+    model.learn(176)
     np.testing.assert_array_equal(model.replay_buffer.actions[:40], shown)
     assert np.abs(shown).max() > 0.05
     assert len(shown) == 40

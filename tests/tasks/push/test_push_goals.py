@@ -76,5 +76,9 @@ def test_a_place_is_no_achievement_of_an_object_that_moves_or_has_fallen():
         np.testing.assert_array_equal(env.task.goals.reached(achieved, relabelled), expected == 1)
 
 
-def test_tasks_whose_success_is_no_function_of_a_goal_have_none():
-    assert TaskVectorEnv(1, task=ReachMovingTask, threads=1).task.goals is None
+def test_a_subclass_has_no_goals_but_its_own():
+    class MarkedPushTask(PushTask):
+        pass
+
+    for task in (MarkedPushTask, ReachMovingTask):
+        assert TaskVectorEnv(1, task=task, threads=1).task.goals is None

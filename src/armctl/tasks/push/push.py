@@ -18,6 +18,7 @@ from armctl.kinematics.vertical_tool import VerticalTool
 from armctl.robot_description import ArmDescription
 from armctl.robots.arm import build_arm_world
 from armctl.scene import push_table, tabletop
+from armctl.tasks.goals import Goals
 from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.push.options import PushOptions
 from armctl.tasks.push.potentials import PushDistance
@@ -71,6 +72,11 @@ class PushTask(TabletopTask):
             return LearnerView()
         features = FeatureSpec("push", {"dof": dof}) if self._workspace.model.base_yaw_is_vertical else None
         return LearnerView(relative_to=slice(3, 3 + dof), largest_move=LARGEST_MOVE, features=features)
+
+    @property
+    def goals(self) -> Goals | None:
+        """Goals of the options."""
+        return self.options.goals
 
     def outcome(self) -> NDArray[np.int8]:
         """Return `FELL` or `PLACED`; `TIMEOUT` while the episode goes on."""

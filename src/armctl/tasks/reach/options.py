@@ -91,10 +91,8 @@ class ReachOptions:
         return {**self.reward, "goal": OneTimeTerm(lambda state: share * goal(state), (0.0, self.goal_reward))}
 
     @property
-    def goals(self) -> Goals | None:
-        """End-effector and target, (n, 3) m each, for hindsight; None without `has_goals`."""
-        if not self.has_goals:
-            return None
+    def goals(self) -> Goals:
+        """End-effector and target, (n, 3) m each, for hindsight in `armctl/ArmReach-v0`."""
         return Goals(
             achieved=attrgetter("end_effector_position"),
             desired=attrgetter("target_position"),
