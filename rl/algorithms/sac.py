@@ -49,8 +49,8 @@ class SacOptions(FrameOptions):
     """Environment steps with uniformly random actions, at first, before learning begins; or with those of the recipe's
     teacher, during which it begins."""
     imitation: NonNegative = 0.0
-    """Initial weight in the actor's loss of minus the log-likelihood of what the teacher did in these steps (as in Nair
-    et al., Overcoming exploration in reinforcement learning with demonstrations, 2018). It decays to 0, linearly."""
+    """Weight in the actor's loss of minus the log-likelihood of what the teacher did in these steps (see Nair et al.,
+    Overcoming exploration in reinforcement learning with demonstrations, 2018, for the effect)."""
     noise: NonNegative = 0.4
     """Scale of the correlated exploration noise in the last world; it grows from 0 in the first world."""
     relabelled: Annotated[int, Field(ge=0)] = 4
@@ -124,7 +124,7 @@ class TaughtSac(StoredAsExecuted):
         return self.actor.action_dist.proba_distribution(means, log_stds).log_prob(samples.actions).mean()
 
     def _imitate(self, weight: float) -> None:
-        (-weight * self._current_progress_remaining * self.likelihood()).backward()
+        (-weight * self.likelihood()).backward()
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_teacher", "_meter", "_taught_steps"]

@@ -320,7 +320,7 @@ class Task(TaskFacts):
 
     @property
     def goals(self) -> Goals | None:
-        """Goals for hindsight; None by default, and in subclasses of a task with goals: their success may be another."""
+        """Goals for hindsight; None by default, and in subclasses of tasks with goals: their success may be another."""
         return None
 
     @property

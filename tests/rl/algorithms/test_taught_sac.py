@@ -11,7 +11,7 @@ from stable_baselines3.common.logger import configure
 from armctl.core.errors import ConfigurationError
 from armctl.rl.algorithms import sac
 from armctl.rl.algorithms.hindsight import GoalVectorEnv
-from armctl.rl.algorithms.sac import SacOptions, TaughtSac, train
+from armctl.rl.algorithms.sac import SacOptions, SquashedMean, TaughtSac, train
 from armctl.rl.run.training import Training
 from armctl.rollout import evaluate
 from armctl.training.learners import load_recipe
@@ -49,8 +49,8 @@ def taught(out, **options):
     return model
 
 
-def test_the_teacher_acts_first(tmp_path):
-    model = taught(tmp_path / "run", noise=0.0)
+def test_the_teacher_acts_first_and_then_the_mean_of_the_actor(tmp_path):
+    model = taught(tmp_path / "run", noise=0.0, random_steps=32)
     env, shown = model.env, []
     proposed = env.actions_of
 
@@ -59,11 +59,15 @@ def test_the_teacher_acts_first(tmp_path):
         return shown[-1]
 
     env.actions_of = noting
-    model.learn(176)
-    np.testing.assert_array_equal(model.replay_buffer.actions[:40], shown)
+    model.learn(44)  # gradient steps begin after 48
+    buffer = model.replay_buffer
+    np.testing.assert_array_equal(buffer.actions[:8], shown)
     assert np.abs(shown).max() > 0.05
-    assert len(shown) == 40
-    assert model._meter.read()["teacher_queries"] == 160
+    assert model._meter.read()["teacher_queries"] == 32
+    seen = torch.as_tensor(buffer.observations["observation"][8:11]).flatten(0, 1)
+    with torch.no_grad():
+        means = SquashedMean(model.policy, goals=True)(seen)
+    np.testing.assert_allclose(buffer.actions[8:11].reshape(12, 6), means, atol=1e-6)
 
 
 @pytest.mark.slow
