@@ -34,8 +34,8 @@ class GoalVectorEnv(EncodedVectorEnv):
         self.task, self.reward_scale = worlds.task, worlds.reward_scale
         self.goals = self.task.goals
         begin = slices_of_parts(self.task)[self.goals.part].start
-        self.shown = slice(begin, begin + self.goals.size)
-        """Numbers of each frame that tell the desired goal."""
+        self.places = slice(begin, begin + self.goals.size)
+        """Places in each frame of the numbers that tell the desired goal."""
         worlds.observers.append(self)
         size = self.goals.desired(self.task.state).shape[1:]
         goal = spaces.Box(-np.inf, np.inf, size, np.float64)
@@ -68,7 +68,7 @@ class GoalVectorEnv(EncodedVectorEnv):
     def show(self, observations: Mapping[str, torch.Tensor]) -> None:
         """Let observations by name show their desired goals in all frames."""
         goals = observations[DESIRED][:, None, : self.goals.size]
-        observations["observation"][..., self.shown] = goals.to(observations["observation"].dtype)
+        observations["observation"][..., self.places] = goals.to(observations["observation"].dtype)
 
     def compute_reward(self, achieved: NDArray[Any], desired: NDArray[Any]) -> Any:
         """Return the scaled reward (n,) of steps that end at goals `achieved` (n, k) where others are `desired`."""
@@ -117,9 +117,9 @@ class HindsightBuffer(HerReplayBuffer):
         worlds.show(samples.observations)
         worlds.show(samples.next_observations)
         at = batch_indices, env_indices
-        own, desired = (self.next_observations[name][at] for name in (ACHIEVED, DESIRED))
+        achieved, desired = (self.next_observations[name][at] for name in (ACHIEVED, DESIRED))
         is_terminal = self.dones[at] > self.timeouts[at]
-        failed = self.to_torch(is_terminal & ~worlds.goals.reached(own, desired))[:, None]
+        failed = self.to_torch(is_terminal & ~worlds.goals.reached(achieved, desired))[:, None]
         reached = samples.rewards > worlds.reward_scale * STEP_REWARD
         rewards = torch.where(failed, self.to_torch(self.rewards[at])[:, None], samples.rewards)
         return samples._replace(rewards=rewards, dones=(failed | reached).float())

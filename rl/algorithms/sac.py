@@ -162,8 +162,8 @@ class SquashedMean(torch.nn.Module):
 
     def forward(self, observation: Any) -> torch.Tensor:
         """Return actions (n, ...) for observations of the task, or stacks of them."""
-        seen = {"observation": observation} if self.goals else observation
-        return torch.tanh(self.actor.get_action_dist_params(seen)[0])
+        observations = {"observation": observation} if self.goals else observation
+        return torch.tanh(self.actor.get_action_dist_params(observations)[0])
 
 
 def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
