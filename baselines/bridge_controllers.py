@@ -220,4 +220,4 @@ class MapAverage:
         self._sizes.append(bridge.blocks[:, 2:])
         centres, start, end = self._means
         blocks = np.column_stack((centres, np.median(self._sizes, axis=0)))
-        return replace(bridge, blocks=blocks, pedestrians=replace(walkers, start=start, end=end))
+        return replace(bridge, blocks=blocks, pedestrians=walkers.moved_to(start, end))

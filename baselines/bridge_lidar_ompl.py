@@ -39,7 +39,7 @@ from armctl.robots.rover import (
 )
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.tasks.bridge import CONTROL_PERIOD, BridgeOptions
-from armctl.tasks.bridge.world import START_X, WALKER_RADIUS, free_half_width
+from armctl.tasks.bridge.world import START_X, free_half_width
 
 CAMERA = CameraMount(ahead=CAMERA_AHEAD, above=0.302, lift=0.31)
 BARRIER_LEAN, BARRIER_FOOT = 0.313, 0.075
@@ -59,7 +59,7 @@ BLOCKED = RADIUS + 0.02
 """m: a path that comes nearer to an obstacle is planned anew."""
 LOOK_AHEAD = 8.0
 """m of the path that are checked against new obstacles."""
-PERSON = WALKER_RADIUS + 0.15
+AROUND_PERSON = 0.15
 """m around a person, in which all that is seen is the person."""
 LANE = 1.5
 """m: so far, both ways, people who walk along the bridge are expected."""
@@ -103,14 +103,15 @@ class BridgeLidarOmpl:
         camera = DepthCamera(height, width, task.field_of_view, task.camera_range, CAMERA_PITCH)
         self._scanner, self._settings = DepthScanner(camera, CAMERA), options
         self._half_width, self._length = free_half_width(task.deck_width), task.deck_length + BEYOND
-        self._turn = self._half_width - WALKER_RADIUS - 0.05
+        self._radius = task.walker_radius
+        self._turn = self._half_width - self._radius - 0.05
         self._options = DriveMpcOptions(
             max_speed=options.max_speed,
             max_acceleration=options.acceleration,
             max_rim_speed=MAX_WHEEL_SPEED * WHEEL_RADIUS,
             half_track=TRACK * WHEEL_SEPARATION_MULTIPLIER / 2,
             clearance=RADIUS + options.margin,
-            distance=RADIUS + WALKER_RADIUS + options.people_margin,
+            distance=RADIUS + self._radius + options.people_margin,
             period=CONTROL_PERIOD,
         )
         self._clock = CONTROL_PERIOD * np.arange(self._options.steps + 1)
@@ -135,7 +136,7 @@ class BridgeLidarOmpl:
         corridor = Corridor(self._half_width, BARRIER_LEAN, BARRIER_FOOT)
         self.localization = CorridorLocalization((START_X, 0.0, 0.0), corridor, SLIDE)
         self.grid = OccupancyGrid((0.0, -self._half_width), (self._length, self._half_width))
-        self.tracker = PeopleTracker(TrackerOptions(period=CONTROL_PERIOD, radius=WALKER_RADIUS, turn=self._turn))
+        self.tracker = PeopleTracker(TrackerOptions(period=CONTROL_PERIOD, radius=self._radius, turn=self._turn))
         self.bridge = BridgeMap(self._length, self._half_width, np.zeros((0, 5)))
         self.observer = DriveObserver(1)
         self._mpc = None
@@ -180,12 +181,12 @@ class BridgeLidarOmpl:
         self.tracker.update(origin, tall, unknown, origin + scan.free[:, None] * directions)
         is_obstacle = inside & ~self._is_person(standing)
         self.grid.add(origin, directions, scan.free, is_obstacle)
-        self.grid.forget(self.tracker.tracks.positions, WALKER_RADIUS)
+        self.grid.forget(self.tracker.tracks.positions, self._radius)
 
     def _is_person(self, points: Array) -> NDArray[np.bool_]:
         """Return which of points (m, 2) are at tracked people."""
         offsets = points[:, None] - self.tracker.tracks.positions
-        return np.asarray((np.linalg.norm(offsets, axis=-1) < PERSON).any(axis=1))
+        return np.asarray((np.linalg.norm(offsets, axis=-1) < self._radius + AROUND_PERSON).any(axis=1))
 
     def _people(self) -> PedestrianTrajectories:
         """Return tracked people as they walk on from now, straight across the deck or along it."""
@@ -196,7 +197,7 @@ class BridgeLidarOmpl:
         end = np.column_stack((np.where(across, x, x + LANE), np.where(across, turn, y)))
         length, walked = 2 * np.where(across, turn, LANE), np.where(across, y + turn, LANE)
         phase = np.where(np.where(across, vy, vx) > 0, walked, 2 * length - walked)
-        return PedestrianTrajectories(start, end, np.where(across, np.abs(vy), np.abs(vx)), phase, WALKER_RADIUS)
+        return PedestrianTrajectories(start, end, np.where(across, np.abs(vy), np.abs(vx)), phase, self._radius)
 
     def _drive(self, state: Array) -> tuple[float, float]:
         """Return the velocities for the state in which they will act."""

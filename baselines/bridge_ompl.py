@@ -147,9 +147,9 @@ class BridgeOmpl:
         return float(shares[safe.argmax()] if safe.any() else shares[closest.argmax()])
 
     def _off_all_lanes(self, points: Array) -> NDArray[np.bool_]:
-        pedestrians = self._crossing
-        lane = pedestrians.end - pedestrians.start
-        offset = points[..., None, :] - pedestrians.start
+        pedestrians, lanes = self._crossing, self._crossing.lanes
+        lane = lanes[:, 2:] - lanes[:, :2]
+        offset = points[..., None, :] - lanes[:, :2]
         share = np.clip((offset * lane).sum(axis=-1) / (lane * lane).sum(axis=-1), 0.0, 1.0)
         distance = np.linalg.norm(offset - share[..., None] * lane, axis=-1).min(axis=-1)
         return np.asarray(distance >= RADIUS + pedestrians.radius + MARGIN / 2)

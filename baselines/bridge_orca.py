@@ -27,7 +27,6 @@ from armctl.robots.rover import MAX_VELOCITY, RADIUS
 from armctl.tasks import BridgeTask
 from armctl.tasks.bridge import CONTROL_PERIOD
 from armctl.tasks.bridge.observation import BLOCK, ROVER, WALKER
-from armctl.tasks.bridge.world import WALKER_RADIUS
 
 REPLAN_DISTANCE = 0.4
 """m: distance from the path at which a new one is planned."""
@@ -97,7 +96,7 @@ class BridgeOrca:
         normals = [*(-to_static / np.maximum(distances, 1e-6)[:, None]), *-SIDES]
         room = np.maximum(distances - RADIUS, 0.0) / options.static_horizon
         bounds = [*-room, *np.full(len(SIDES), -MAX_VELOCITY[0])]
-        soft, radius = len(bounds), RADIUS + options.offset + WALKER_RADIUS + options.margin
+        soft, radius = len(bounds), RADIUS + options.offset + task.options.walker_radius + options.margin
         for person in people.reshape(-1, WALKER):
             offset, relative = person[:2] - point, present - person[2:]
             change, normal = avoidance(offset, relative, radius, options.horizon, CONTROL_PERIOD)

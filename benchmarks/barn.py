@@ -1,10 +1,11 @@
 """The score of the BARN challenge (Xiao et al. 2022): success * T / clip(time, 2 T, 8 T), where T is the least time.
 
-    python benchmarks/barn.py [FOLDER] [--policies bridge_ompl,bridge_mpc] [--episodes 300] [--seed 305]
+    python benchmarks/barn.py [FOLDER] [--moving] [--policies bridge_ompl,bridge_mpc] [--episodes 300] [--seed 305]
 
 FOLDER has the challenge's static worlds, `worlds/BARN` of github.com/Daffan/the-barn-challenge; without it, fields are
-new ones. T is that of the shortest path with a clearance of 0.36 m at 2 m/s. The challenge drives a Jackal with a lidar
-in Gazebo, to within 1 m of a point, in at most 100 s: its published figures are not from this simulator.
+new ones. With `--moving`, they are the challenge's moving fields. T is that of the shortest path around what stands
+still, with a clearance of 0.36 m, at 2 m/s. The challenge drives a Jackal with a lidar in Gazebo, to within 1 m of a
+point, in at most 100 s: its published figures are not from this simulator.
 """
 
 from contextlib import closing
@@ -22,25 +23,28 @@ from armctl.robots.rover import MAX_VELOCITY
 from armctl.tasks.bridge import CONTROL_PERIOD
 from armctl.tasks.bridge.world import START_X
 
-ENV = "armctl/BarnCross-v0"
+STATIC, MOVING = "armctl/BarnCross-v0", "armctl/BarnCrossMoving-v0"
 POLICIES = "bridge_ompl,bridge_mpc,bridge_dwa,bridge_distil"
 WORLDS = 10
 
 
 def main(
     folder: Annotated[str | None, typer.Argument(help="Folder of the challenge's static worlds.")] = None,
+    *,
+    moving: bool = False,
     policies: str = POLICIES,
     episodes: int = 300,
     seed: int = 305,
 ) -> None:
     """Play the same fields with each policy, and print a table."""
     names = policies.split(",")
-    options = {"fields": folder} if folder else {}
-    times = shortest_times(options, episodes, seed)
-    comparison = armctl.compare(names, ENV, episodes=episodes, seed=seed, worlds=WORLDS, env_options=options)
+    env, fields = (MOVING, "challenge") if moving else (STATIC, folder)
+    options = {"fields": fields} if fields else {}
+    times = shortest_times(env, options, episodes, seed)
+    comparison = armctl.compare(names, env, episodes=episodes, seed=seed, worlds=WORLDS, env_options=options)
     summaries = {summary.policy: summary for summary in comparison.policies}
     table = markdown_table("policy", "sees", "success", "collided", "time, s: median", "score")
-    table.title = f"{ENV}, {episodes} episodes of seed {seed}, the challenge's worlds: {'yes' if folder else 'no'}"
+    table.title = f"{env}, {episodes} episodes of seed {seed}, the challenge's worlds: {'yes' if fields else 'no'}"
     for name, group in comparison.episodes.groupby("policy", sort=False):
         time = CONTROL_PERIOD * group.length.to_numpy()
         fastest = times[group.episode.to_numpy()]
@@ -54,13 +58,13 @@ def main(
     show(table, width=160)
 
 
-def shortest_times(options: dict[str, str], episodes: int, seed: int) -> np.ndarray:
+def shortest_times(name: str, options: dict[str, str], episodes: int, seed: int) -> np.ndarray:
     """Return the time (episodes,) s of the shortest path at full speed."""
     choice, times = PathPlannerOptions(clearance=NARROW_CLEARANCE), []
-    with closing(make_worlds(ENV, 1, {**options, "observation": "state"})) as env:
+    with closing(make_worlds(name, 1, {**options, "observation": "state"})) as env:
         for episode in progress(range(episodes), "shortest paths"):
             env.reset(seed=seed, options={"episode": episode})
-            plan = plan_path(env.task.map(0), (START_X, 0.0), env.task.goal_x, choice)
+            plan = plan_path(env.task.static_map(0), (START_X, 0.0), env.task.goal_x, choice)
             times.append(plan.length / MAX_VELOCITY[0])
     return np.array(times)
 

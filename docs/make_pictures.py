@@ -41,6 +41,7 @@ for env_id, name, seed, steps, picture in (
     ("armctl/ArmLift-v0", "lift_grasp", 5, 58, "arm_lift.png"),
     ("armctl/ArmScenes-v0", "reach_ompl", 3, 28, "arm_scenes.png"),
     ("armctl/BarnCross-v0", "bridge_ompl", 3, 25, "barn.png"),
+    ("armctl/BarnCrossMoving-v0", "bridge_mpc", 4, 55, "barn_moving.png"),
     (
         "armctl/ArmReachObstacles-v0",
         "reach_ompl",

@@ -26,6 +26,7 @@ import yaml
 from rich.progress import track
 
 from armctl.core.files import write_atomically
+from armctl.core.shipped import write_shipped
 from armctl.kernels import capsules
 from armctl.kinematics import ArmModel, EdgeChecker, MinimumTimePose
 from armctl.kinematics.edge_checker import ArmShapes
@@ -34,11 +35,11 @@ from armctl.planning import PathCertificate
 from armctl.planning.path_certificate import PathCertificateOptions
 from armctl.scene import Boxes
 from armctl.tasks.reach.motion_bench_maker import (
+    FORMAT,
     ROBOTS,
     SCENES,
     Problems,
     problems_file,
-    write_problems,
 )
 from armctl.tasks.reach.obstacles import read_boxes
 from armctl.tasks.reach.scenes import ReachScenesOptions
@@ -169,7 +170,7 @@ def main(
         packed=np.concatenate(boxes),
         feasible=np.array([verdict == "feasible" for verdict in verdicts]),
     )
-    write_atomically(out, functools.partial(write_problems, converted))
+    write_atomically(out, functools.partial(write_shipped, converted, FORMAT))
     print(f"{out}: {out.stat().st_size:,} bytes")
     for i, scene in enumerate(SCENES):
         counts = Counter(verdict for verdict, of in zip(verdicts, scenes, strict=True) if of == i)

@@ -53,6 +53,12 @@ pose_dagger = _agent("pose_dagger", "DAgger on `armctl/ArmPose-v0`, in imaginati
 push_act = _agent(
     "push_act", "Chunks of a small transformer on `armctl/ArmPush-v0`, from `push_line` without its memory."
 )
+push_cloned_ppo = _agent(
+    "push_cloned_ppo", "A clone of `push_line` without its memory on `armctl/ArmPush-v0`, from which PPO goes on."
+)
+push_sac = _agent(
+    "push_sac", "SAC with hindsight on `armctl/ArmPush-v0`, which imitates the first steps, `push_line`'s."
+)
 push_bc = _agent("push_bc", "Behaviour cloning on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 push_flow = _agent("push_flow", "Flow matching of chunks on `armctl/ArmPush-v0`, from `push_line` without its memory.")
 scenes_plan_bc = _agent(
@@ -75,6 +81,9 @@ bridge_robust_ppo = _agent(
 )
 bridge_moving_state_ppo = _agent(
     "bridge_moving_state_ppo", "PPO on `armctl/BridgeCrossMoving-v0`, without physics; it sees the true state.", "state"
+)
+barn_moving_state_ppo = _agent(
+    "barn_moving_state_ppo", "PPO on `armctl/BarnCrossMoving-v0`, without physics; it sees the true state.", "state"
 )
 barn_ppo = _agent(
     "barn_ppo",

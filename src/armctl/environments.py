@@ -10,5 +10,6 @@ register("armctl/ArmReachMoving-v0", "armctl.tasks:ReachMovingTask", max_episode
 register("armctl/ArmReachObstacles-v0", "armctl.tasks:ReachObstaclesTask", max_episode_steps=200)
 register("armctl/ArmScenes-v0", "armctl.tasks:ReachScenesTask", max_episode_steps=200)
 register("armctl/BarnCross-v0", "armctl.tasks:BarnTask", max_episode_steps=400)
+register("armctl/BarnCrossMoving-v0", "armctl.tasks:BarnMovingTask", max_episode_steps=600)
 register("armctl/BridgeCross-v0", "armctl.tasks:BridgeTask", max_episode_steps=300)
 register("armctl/BridgeCrossMoving-v0", "armctl.tasks:BridgeMovingTask", max_episode_steps=600)

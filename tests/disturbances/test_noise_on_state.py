@@ -95,7 +95,7 @@ def test_noise_reaches_experts_only_on_the_state(disturbance, expected):
     assert differing([*expected], "armctl/BridgeCross-v0", disturbance, 0.2, steps=12, episodes=1) == expected
 
 
-LIKE_OTHERS = ("armctl/ArmScenes-v0", "armctl/BarnCross-v0")
+LIKE_OTHERS = ("armctl/ArmScenes-v0", "armctl/BarnCross-v0", "armctl/BarnCrossMoving-v0")
 """Tasks whose policies and disturbances are those of others."""
 TASKS = [name for name in environment_names() if name.startswith("armctl/") and name not in LIKE_OTHERS]
 

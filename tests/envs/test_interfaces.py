@@ -25,6 +25,7 @@ INTERFACES = [
     *(("armctl/ArmPush-v0", {"observation": name}) for name in ("paper", "features", "full")),
     *(("armctl/ArmScenes-v0", {"observation": name}) for name in ("paper", "features", "full")),
     ("armctl/BarnCross-v0", {"observation": "full"}),
+    ("armctl/BarnCrossMoving-v0", {"observation": "full"}),
     (REACH[0], {**LEARNER, "goal": True}),
     (REACH[0], {"control": "torque", "observation": "full", "actions": "normalized"}),
     *((env, {"observation": name, **SMALL}) for env in BRIDGE for name in ("paper", "features", "full", "image")),

@@ -95,6 +95,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
         ("ArmReachObstacles-v0", (-400.0, 99.0)),
         ("ArmScenes-v0", (-400.0, 99.0)),
         pytest.param("BarnCross-v0", (-240.0, 99.9), marks=pytest.mark.slow),
+        pytest.param("BarnCrossMoving-v0", (-260.0, 99.9), marks=pytest.mark.slow),
         pytest.param("BridgeCross-v0", (-230.0, 99.9), marks=pytest.mark.slow),
         pytest.param("BridgeCrossMoving-v0", (-260.0, 99.9), marks=pytest.mark.slow),
     ],

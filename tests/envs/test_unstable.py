@@ -16,7 +16,7 @@ MODES = ("next_step", "same_step", "disabled")
 ENVS = (
     "armctl/ArmLift-v0", "armctl/ArmPose-v0", "armctl/ArmPush-v0", "armctl/ArmReach-v0",
     "armctl/ArmReachMoving-v0", "armctl/ArmReachObstacles-v0", "armctl/ArmScenes-v0", "armctl/BarnCross-v0",
-    "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0",
+    "armctl/BarnCrossMoving-v0", "armctl/BridgeCross-v0", "armctl/BridgeCrossMoving-v0",
 )  # fmt: skip
 
 

@@ -30,6 +30,7 @@ LINES_UP = {
         "random",
     ),
     "armctl/BarnCross-v0": ("bridge_ompl", "bridge_dwa", "bridge_distil", "random"),
+    "armctl/BarnCrossMoving-v0": ("bridge_mpc", "bridge_orca", "barn_moving_state_ppo", "random"),
     "armctl/BridgeCross-v0": ("bridge_ompl", "bridge_mpc", "bridge_ppo", "bridge_distil", "random"),
     "armctl/BridgeCrossMoving-v0": (
         "bridge_ompl",

@@ -24,6 +24,7 @@ def test_each_environment_names_its_oracles():
         "armctl/ArmReachObstacles-v0": ["distance", "ik", "mpc", "ompl"],
         "armctl/ArmScenes-v0": ["distance", "ik"],
         "armctl/BarnCross-v0": ["distance", "ompl", "people"],
+        "armctl/BarnCrossMoving-v0": ["distance"],
         "armctl/BridgeCross-v0": ["distance", "ompl", "people"],
         "armctl/BridgeCrossMoving-v0": ["distance", "ompl", "people"],
     }

@@ -4,7 +4,8 @@ import pytest
 
 from armctl.robots.rover import PARTS, PREFIX
 from armctl.simulation import ContactSensors, Simulation
-from armctl.tasks.bridge.world import BLOCK_SIZES, CONTACT_CLASSES, WALKER_RADIUS, build_bridge_world
+from armctl.tasks.bridge.options import WALKER_RADIUS
+from armctl.tasks.bridge.world import BLOCK_SIZES, CONTACT_CLASSES, build_bridge_world
 
 OUTWARD = {
     "base": (1, 0, 0),
@@ -28,7 +29,7 @@ GAP, SPEED = 0.001, 0.5
 
 @pytest.fixture(scope="module")
 def bridge():
-    return build_bridge_world(20.0, 4.0, 1, 1, 0.002, 4, (8, 8), 90.0)
+    return build_bridge_world(20.0, 4.0, 1, [WALKER_RADIUS], 0.002, 4, (8, 8), 90.0)
 
 
 def aim(model, part, surface):

@@ -278,19 +278,20 @@ def test_a_task_with_one_kind_alone_has_nothing_to_decide(monkeypatch, tmp_path)
 
 
 @pytest.mark.parametrize("quick", [False, True])
-def test_a_suite_stops_unless_a_number_is_fixed(quick):
+@pytest.mark.parametrize("until", [None, "decided"])
+def test_a_suite_stops_unless_a_number_is_fixed(quick, until):
     undisturbed, at_most = (100, 100) if quick else (200, 50)
-    cases: Any = [
-        (None, {}, (undisturbed, at_most, True)), (None, {"until": "decided"}, (undisturbed, at_most, True)),
-        (7, {}, (7, 7, False)), (7, {"until": "decided"}, (7, 7, True)),
-    ]  # fmt: skip
-    for episodes, options, expected in cases:
+    options: Any = {"until": until} if until else {}
+    for episodes, expected in ((None, (undisturbed, at_most, True)), (7, (7, 7, until is not None))):
         plan = suite_plan(["armctl/ArmReach-v0"], quick, episodes, 0, options)
         first, *disturbed = plan.cells
         (others,) = {plan.episodes_in(cell) for cell in disturbed}
         assert (plan.episodes_in(first), others, plan.until_decided) == expected
+
+
+def test_a_suite_that_stops_at_something_else_is_refused():
     with pytest.raises(ConfigurationError, match="Did you mean 'decided'"):
-        suite_plan(["Pendulum-v1"], quick, None, 0, {"until": "decidet"})  # type: ignore[typeddict-item]
+        suite_plan(["Pendulum-v1"], True, None, 0, {"until": "decidet"})  # type: ignore[typeddict-item]
 
 
 @pytest.mark.parametrize(

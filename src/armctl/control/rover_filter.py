@@ -109,7 +109,7 @@ class RoverFilter:
         people = bridge.pedestrians
         blocks, half_width, length = bridge.deck
         positions = np.ascontiguousarray(people.positions(time + self._ahead))
-        lanes = np.ascontiguousarray(np.hstack((people.start, people.end)))
+        lanes = np.ascontiguousarray(people.lanes)
         return kernel.Surroundings(
             blocks, half_width, length, positions, lanes, people.radius, self._margin + further,
             self._people_margin + further, self._drift,

@@ -1,7 +1,7 @@
 """Trajectories of pedestrians on a bridge."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,15 @@ class PedestrianTrajectories:
         """(..., w) True for pedestrians who walk along the bridge or stand, rather than walk across it."""
         extent = np.abs(self.end - self.start)
         return np.asarray(extent[..., 0] >= extent[..., 1])
+
+    @property
+    def lanes(self) -> Array:
+        """(..., w, 4) m: both ends of the lines."""
+        return np.concatenate((self.start, self.end), axis=-1)
+
+    def moved_to(self, start: Array, end: Array) -> "PedestrianTrajectories":
+        """Return the same with lines between other ends (..., w, 2), m."""
+        return replace(self, start=start, end=end)
 
     def across(self) -> "PedestrianTrajectories":
         """Return those who walk across the bridge; for one bridge only."""

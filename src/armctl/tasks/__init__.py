@@ -7,6 +7,8 @@ from armctl.core.lazy import on_first_use
 if TYPE_CHECKING:
     from armctl.core.arrays import Observations
     from armctl.tasks.bridge import (
+        BarnMovingOptions,
+        BarnMovingTask,
         BarnOptions,
         BarnTask,
         BridgeMovingOptions,
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
         BridgeState,
         BridgeTask,
     )
+    from armctl.tasks.goals import Goals
     from armctl.tasks.learner_view import FeatureSpec, LearnerView
     from armctl.tasks.lift import LiftOptions, LiftOutcome, LiftState, LiftTask
     from armctl.tasks.push import PushOptions, PushOutcome, PushState, PushTask
@@ -53,6 +56,8 @@ if TYPE_CHECKING:
 __all__ = [
     "OBSERVATION",
     "REWARD",
+    "BarnMovingOptions",
+    "BarnMovingTask",
     "BarnOptions",
     "BarnTask",
     "BridgeMovingOptions",
@@ -64,6 +69,7 @@ __all__ = [
     "EachStep",
     "FeatureSpec",
     "GoalDistance",
+    "Goals",
     "LearnerView",
     "LiftOptions",
     "LiftOutcome",

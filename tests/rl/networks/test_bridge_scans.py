@@ -6,7 +6,7 @@ from armctl.kernels import planar
 from armctl.rl.networks.bridge_scans import AHEAD, BEAMS, NEAR, ROVER, Surroundings, people_after
 from armctl.rl.networks.view import view_of
 from armctl.tasks.bridge.layout import TURNING_MARGIN
-from armctl.tasks.bridge.world import WALKER_RADIUS
+from armctl.tasks.bridge.options import WALKER_RADIUS
 
 MOVING = "armctl/BridgeCrossMoving-v0"
 

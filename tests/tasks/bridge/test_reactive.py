@@ -8,7 +8,8 @@ import pytest
 from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
 from armctl.robots.rover import RADIUS
-from armctl.scene import BridgeMap, PedestrianTrajectories
+from armctl.scene import NO_PEDESTRIANS, BridgeMap, PedestrianTrajectories
+from armctl.tasks.bridge.pedestrians import on_lines_like
 from armctl.tasks.bridge.reactive import MAX_ASIDE, PERSONAL_SPACE, ReactivePedestrians, social_force
 
 from .worlds import MOVING
@@ -19,9 +20,9 @@ PLANAR: dict[str, Any] = {"dynamics": "kinematic", "observation": "state"}
 
 def walkers(start, end, speed=1.0, max_y=1.1):
     """One pedestrian on a line."""
-    people = ReactivePedestrians(1, 1, max_y)
-    people.lines.start[:], people.lines.end[:], people.lines.speed[:] = start, end, speed
-    return people
+    first, last = np.array([[[start]], [[end]]], dtype=float)
+    lines = PedestrianTrajectories(first, last, np.full((1, 1), speed), np.zeros((1, 1)), 0.25)
+    return ReactivePedestrians(lines, max_y)
 
 
 def walk(people, seconds, rover, speed=0.0):
@@ -149,7 +150,7 @@ def test_another_kind_is_refused():
 
 
 def test_a_map_without_pedestrians_stays_so():
-    people = ReactivePedestrians(1, 0, 1.0)
+    people = ReactivePedestrians(on_lines_like(NO_PEDESTRIANS, 1), 1.0)
     bridge = BridgeMap(20.0, 1.4, np.zeros((0, 5)))
     assert len(people.on(bridge, 0).pedestrians.speed) == 0
     assert people.walk(np.zeros((3, 1)), np.zeros((1, 3)), np.zeros(1)).shape == (2, 1, 0, 2)

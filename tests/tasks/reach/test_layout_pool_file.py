@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from armctl.core.errors import ConfigurationError
+from armctl.core.shipped import LARGEST
 from armctl.envs import TaskVectorEnv
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks import ReachObstaclesTask
-from armctl.tasks.reach.layout_pool import FORMAT, LARGEST_POOL, PARTS, POOL_FILE, read_pool, write_pool
+from armctl.tasks.reach.layout_pool import FORMAT, PARTS, POOL_FILE, read_pool, write_pool
 from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 
 SHIPPED = read_pool(POOL_FILE)
@@ -67,7 +68,7 @@ def test_a_damaged_file_is_refused(tmp_path, sized):
     for cut in (0, 1, 100, len(content) // 2, len(content) - 1):
         path.write_bytes(content[:cut])
         refused(path)
-    path.write_bytes(bytes(LARGEST_POOL + 1))
+    path.write_bytes(bytes(LARGEST + 1))
     refused(path, "more than")
     for place in rng.integers(200, len(content) - 2000, sized(10, 200)):
         path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
@@ -101,7 +102,7 @@ def test_a_box_without_size_is_refused():
     "forged",
     [
         {"format": 1}, {"robot": None}, {"targets": np.array([None] * 4)}, {"unknown": 1}, {"tolerance": "much"},
-        {"targets": np.zeros(LARGEST_POOL // 4, np.float32)},
+        {"targets": np.zeros(LARGEST // 4, np.float32)},
     ],
     ids=["format", "missing", "pickle", "unknown", "no number", "bomb"],
 )  # fmt: skip

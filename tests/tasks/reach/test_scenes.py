@@ -12,19 +12,13 @@ import yaml
 import armctl
 from armctl.baselines.reach_task import POSE_CLEARANCES, POSE_SEARCH
 from armctl.core.errors import ArmctlError, ConfigurationError
+from armctl.core.shipped import write_shipped
 from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.kinematics import ArmModel, MinimumTimePose
 from armctl.planning import ArmPlanner, ArmPlannerOptions, PathCertificate
 from armctl.tasks import ReachOutcome, ReachScenesTask
 from armctl.tasks.reach import read_boxes
-from armctl.tasks.reach.motion_bench_maker import (
-    MAX_BOXES,
-    ROBOTS,
-    SCENES,
-    problems_file,
-    shipped_problems,
-    write_problems,
-)
+from armctl.tasks.reach.motion_bench_maker import FORMAT, MAX_BOXES, ROBOTS, SCENES, problems_file, shipped_problems
 
 from ...capsule_world import CapsuleWorld
 
@@ -118,7 +112,7 @@ def test_a_scene_that_boxes_cannot_be_is_refused(change):
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_file_is_read_as_it_was_written(tmp_path, robot):
-    write_problems(shipped_problems(robot), tmp_path / "again.npz")
+    write_shipped(shipped_problems(robot), FORMAT, tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == problems_file(robot).read_bytes()
 
 

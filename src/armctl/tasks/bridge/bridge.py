@@ -29,13 +29,14 @@ from armctl.tasks.bridge.observation import (
     state_space,
 )
 from armctl.tasks.bridge.options import CONTROL_PERIOD, MOVES, BridgeMovingOptions, BridgeOptions
+from armctl.tasks.bridge.pedestrians import on_lines_like
 from armctl.tasks.bridge.perceived import PerceivedBridges
 from armctl.tasks.bridge.physical import PhysicalRover
 from armctl.tasks.bridge.planar import PlanarRover
 from armctl.tasks.bridge.potentials import CrossingCostToGo, CrossingTimeToGo
 from armctl.tasks.bridge.reactive import make_pedestrians
 from armctl.tasks.bridge.state import BridgeState
-from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, build_bridge_world, free_half_width
+from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, build_bridge_world, free_half_width
 from armctl.tasks.learner_view import FeatureSpec, LearnerView
 from armctl.tasks.task import (
     Ids,
@@ -82,8 +83,8 @@ class BridgeTask(Task):
         self.foresight = ("pedestrians",) if options.walkers else ()
         memory = round(CONTROL_PERIOD / options.timestep)
         model = build_bridge_world(
-            options.deck_length, options.deck_width, options.blocks, options.walkers, options.timestep, memory,
-            options.size, options.field_of_view,
+            options.deck_length, options.deck_width, options.blocks, [options.walker_radius] * options.walkers,
+            options.timestep, memory, options.size, options.field_of_view,
         )  # fmt: skip
         super().__init__(Simulation(model, n, threads, SPEED_LIMITS), CONTROL_PERIOD)
         self.goal_x = options.deck_length - GOAL_MARGIN
@@ -97,9 +98,9 @@ class BridgeTask(Task):
         self.joints, self.rollout_worlds = self.rover.joints, self.rover.rollout_worlds
         self._see = self._make_camera()
         worlds = np.arange(n, dtype=np.int32)
-        self._people = make_pedestrians(n, options)
-        self._pedestrians = self._people.lines
         self._layouts: list[Layout] = [self._sample_episode(np.random.default_rng(0))] * n
+        self._pedestrians = on_lines_like(self._layouts[0].map.pedestrians, n)
+        self._people = make_pedestrians(self._pedestrians, options)
         self._blocks = np.zeros((n, options.blocks, 5))
         self._time, self._action, self._distance = np.zeros(n), np.zeros((n, 2)), np.zeros(n)
         self.simulation.reset()
@@ -146,7 +147,7 @@ class BridgeTask(Task):
                 "walkers": options.walkers,
                 "half_width": half_width,
                 "goal_x": self.goal_x,
-                "radius": WALKER_RADIUS,
+                "radius": options.walker_radius,
                 "turn": turning_y(half_width),
             },
         )
@@ -198,8 +199,7 @@ class BridgeTask(Task):
             self._layouts[i], self._blocks[i] = layout, layout.map.blocks
         self._furniture.place(ids, layouts)
         self.rover.place(ids, layouts)
-        for name in ("start", "end", "speed", "phase"):
-            getattr(self._pedestrians, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
+        self._people.begin(ids, layouts)
 
     def _begin(self, ids: Ids) -> None:
         self._time[ids] = 0.0

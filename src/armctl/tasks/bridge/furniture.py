@@ -42,7 +42,8 @@ class Furniture:
         if self._resized:
             heights = np.full(half_length.shape, BLOCK_HEIGHT / 2)
             self._resized.resize(ids, np.stack((half_length, half_width, heights), axis=-1))
-        self._positions[worlds, self._walkers, 2] = 0.0
+        moving = np.array([layout.map.pedestrians.speed for layout in layouts]) > 0
+        self._positions[worlds, self._walkers, 2] = np.where(moving, 0.0, HIDDEN)
 
     def move_walkers(self, ids: Ids, positions: Array) -> None:
         """Put the walkers of worlds `ids` at `positions` (len(ids), walkers, 2), m."""

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from armctl.core.errors import ConfigurationError
 from armctl.robots.rover import RADIUS
 from armctl.scene import BridgeMap, PedestrianTrajectories
+from armctl.tasks.bridge.options import WALKER_RADIUS, WALKER_SPEEDS
 from armctl.tasks.bridge.world import (
     BLOCK_SIZES,
     GOAL_MARGIN,
     START_X,
-    WALKER_RADIUS,
     free_half_width,
     segment_names,
 )
@@ -27,8 +27,6 @@ RUN_UP, RUN_OUT = 1.5, 1.0
 """m without blocks and walkers after the start, and before the goal line."""
 MAX_BLOCK_YAW = 0.6
 """rad."""
-WALKER_SPEEDS = (0.3, 1.2)
-"""m/s."""
 TURNING_MARGIN = WALKER_RADIUS + 0.05
 """m from a barrier, where people who walk across turn back."""
 ALONG_SECTION = 1.6

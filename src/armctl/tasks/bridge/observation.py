@@ -12,7 +12,7 @@ from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
 from armctl.robots.rover import CAMERA, GEOM_GROUP, PREFIX, WHEEL_RADIUS, WHEELS
 from armctl.simulation import Camera, RayCamera, Simulation
-from armctl.tasks.bridge.layout import MAX_BLOCK_YAW, WALKER_SPEEDS
+from armctl.tasks.bridge.layout import MAX_BLOCK_YAW
 from armctl.tasks.bridge.options import BridgeOptions
 from armctl.tasks.bridge.pedestrians import Pedestrians
 from armctl.tasks.bridge.state import BridgeState
@@ -117,7 +117,7 @@ def _state_bounds(options: BridgeOptions) -> NDArray[np.float32]:
     length, width = options.deck_length, options.deck_width / 2
     rover = [length + OFF_DECK, width + OFF_DECK, 1.0, 1.0, *FASTEST]
     block = [length, width, MAX_BLOCK_YAW, *options.largest_block]
-    walker = [length, width, max(WALKER_SPEEDS), max(WALKER_SPEEDS)]
+    walker = [length, width, options.fastest_walker, options.fastest_walker]
     highest = np.array([*rover, *block * options.blocks, *walker * options.walkers], dtype=np.float32)
     return np.stack((-highest, highest))
 

@@ -10,6 +10,10 @@ from armctl.core.errors import ConfigurationError
 from armctl.core.options import options
 from armctl.tasks.bridge.state import REWARD, Term
 
+WALKER_RADIUS = 0.25
+"""m."""
+WALKER_SPEEDS = (0.3, 1.2)
+"""m/s."""
 CONTROL_PERIOD = 0.1
 """s between two control steps."""
 WALKER_PERIOD = 0.02
@@ -65,6 +69,10 @@ class BridgeOptions:
 
     largest_block: ClassVar[tuple[float, float]] = (0.3, 0.8)
     """m: largest half length and half width of a block."""
+    walker_radius: ClassVar[float] = WALKER_RADIUS
+    """m."""
+    fastest_walker: ClassVar[float] = WALKER_SPEEDS[1]
+    """m/s."""
     blocks_vary: ClassVar[bool] = False
     """True if number and sizes of the blocks differ between episodes. Absent ones have size 0."""
 

@@ -1,20 +1,28 @@
 """Pedestrians of n bridges who follow their trajectories, whatever the rovers do; those who react are a subclass."""
 
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.arrays import Array
 from armctl.scene import BridgeMap, PedestrianTrajectories
-from armctl.tasks.bridge.world import WALKER_RADIUS
+from armctl.tasks.bridge.layout import Layout
 from armctl.tasks.task import Ids
 
 
 class Pedestrians:
-    """Pedestrians (n, w) on `lines`, whose arrays the caller changes when episodes begin."""
+    """Pedestrians (n, w) on `lines`, whose arrays change when episodes begin."""
 
-    def __init__(self, num_envs: int, walkers: int) -> None:
-        (start, end), (speed, phase) = np.zeros((2, num_envs, walkers, 2)), np.zeros((2, num_envs, walkers))
-        self.lines = PedestrianTrajectories(start, end, speed, phase, WALKER_RADIUS)
+    def __init__(self, lines: PedestrianTrajectories) -> None:
+        self.lines = lines
+
+    def begin(self, ids: Ids, layouts: Sequence[Layout]) -> None:
+        """Put those of worlds `ids` on the lines of their layouts, m."""
+        for name in (field.name for field in fields(self.lines) if field.name != "radius"):
+            getattr(self.lines, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
 
     def reset(self, ids: Ids) -> None:
         """Begin new episodes in worlds `ids`."""
@@ -47,3 +55,10 @@ class Pedestrians:
         people = bridge.pedestrians
         distances = np.linalg.norm(people.positions(times) - points[:, None], axis=-1) - people.radius
         return float(distances.min(initial=np.inf))
+
+
+def on_lines_like(lines: PedestrianTrajectories, num_envs: int) -> PedestrianTrajectories:
+    """Return the pedestrians of one bridge on each of n bridges, in arrays of their own."""
+    names = [field.name for field in fields(lines) if field.name != "radius"]
+    arrays: dict[str, Any] = {name: np.stack([getattr(lines, name)] * num_envs) for name in names}
+    return replace(lines, **arrays)

@@ -42,6 +42,5 @@ class PerceivedBridges:
         blocks = np.column_stack((blocks[:, :3], np.maximum(blocks[:, 3:], 0.0)))
         walkers = true.pedestrians
         off = people - walkers.positions(self.truth.time[world])
-        return replace(
-            true, blocks=blocks, pedestrians=replace(walkers, start=walkers.start + off, end=walkers.end + off)
-        )
+        moved = walkers.moved_to(walkers.start + off, walkers.end + off)
+        return replace(true, blocks=blocks, pedestrians=moved)

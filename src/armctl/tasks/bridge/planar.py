@@ -18,7 +18,7 @@ from armctl.tasks.bridge.furniture import Furniture
 from armctl.tasks.bridge.layout import Layout, turning_y
 from armctl.tasks.bridge.observation import camera_pitch, column_directions
 from armctl.tasks.bridge.options import CONTROL_PERIOD, BridgeOptions
-from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, WALKER_RADIUS, free_half_width, segment_names
+from armctl.tasks.bridge.world import CONTACT_CLASSES, GOAL_MARGIN, free_half_width, segment_names
 from armctl.tasks.task import Ids
 
 LINEAR_ACCELERATION, ANGULAR_ACCELERATION = 6.0, 12.0
@@ -56,7 +56,7 @@ class Geometry:
         wheels = np.array([model.body(PREFIX + name).pos[:2] for name in WHEELS])
         base, wheel = model.geom(PREFIX + "base").size[:2], model.geom(PREFIX + WHEELS[0]).size[:2]
         return cls(
-            kernel.Deck(options.deck_length, half_width, WALKER_RADIUS, options.deck_width / 2),
+            kernel.Deck(options.deck_length, half_width, options.walker_radius, options.deck_width / 2),
             options.blocks,
             len(segment_names(options.deck_length)) // 2,
             turning_y(half_width),

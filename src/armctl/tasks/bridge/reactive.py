@@ -52,12 +52,12 @@ TINY = 1e-9
 class ReactivePedestrians(Pedestrians):
     """Pedestrians (n, w) who walk `lines`, and give way. They go no farther than `max_y` m from the bridge's middle."""
 
-    def __init__(self, num_envs: int, walkers: int, max_y: float) -> None:
-        super().__init__(num_envs, walkers)
+    def __init__(self, lines: PedestrianTrajectories, max_y: float) -> None:
+        super().__init__(lines)
         self._max_y = max_y
-        self._lag, self._aside, self._slowing, self._sideways = np.zeros((4, num_envs, walkers))
+        self._lag, self._aside, self._slowing, self._sideways = np.zeros((4, *lines.speed.shape))
         """s behind the schedule, m to the left of the line, and the parts of w along the line and to its left, m/s."""
-        self._closest = np.full(num_envs, np.inf)
+        self._closest = np.full(len(lines.speed), np.inf)
 
     def reset(self, ids: Ids) -> None:
         """Let those of worlds `ids` be on their lines and in time."""
@@ -158,11 +158,11 @@ class ReactivePedestrians(Pedestrians):
         return np.asarray(np.stack((-way[..., 1], way[..., 0]), axis=-1) / length)
 
 
-def make_pedestrians(num_envs: int, options: BridgeOptions) -> Pedestrians:
-    """Return the pedestrians of n bridges that their options ask for."""
+def make_pedestrians(lines: PedestrianTrajectories, options: BridgeOptions) -> Pedestrians:
+    """Return the pedestrians of n bridges that their options ask for, on lines (n, w)."""
     if options.pedestrians == "scripted":
-        return Pedestrians(num_envs, options.walkers)
-    return ReactivePedestrians(num_envs, options.walkers, turning_y(free_half_width(options.deck_width)))
+        return Pedestrians(lines)
+    return ReactivePedestrians(lines, turning_y(free_half_width(options.deck_width)))
 
 
 def social_force(places: Array, velocities: Array, radii: Array, heading: Array) -> Array:

@@ -1,5 +1,6 @@
 """Builds the bridge's MuJoCo model: deck, barriers, blocks, walkers and the rover, in the sizes of the options."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -10,6 +11,7 @@ from armctl.simulation.contacts import add_contact_sensors
 from armctl.simulation.impacts import add_impact_sensors
 from armctl.simulation.ray_camera import vertical_field_of_view
 from armctl.simulation.worlds import world_path
+from armctl.tasks.bridge.options import WALKER_RADIUS
 
 START_X, GOAL_MARGIN = 1.0, 1.0
 """m from the deck's ends to the rover's start, and to the goal line."""
@@ -20,7 +22,7 @@ JERSEY_PROFILE = ((0.305, 0.0), (0.305, 0.075), (0.12, 0.33), (0.075, 0.81))
 BLOCK_SIZES = ((0.2, 0.7), (0.25, 0.5), (0.3, 0.3), (0.2, 0.8))
 """Half length and half width, m, in turn."""
 BLOCK_HEIGHT = 0.8
-WALKER_RADIUS, WALKER_HEIGHT = 0.25, 1.7
+WALKER_HEIGHT = 1.7
 SLAB_DEPTH, GROUND = 0.4, -4.0
 LOOKS = 2
 """Geom group of purely visual geoms."""
@@ -62,7 +64,7 @@ def build_bridge_world(
     length: float,
     width: float,
     blocks: int,
-    walkers: int,
+    walker_radii: Sequence[float],
     timestep: float,
     memory: int,
     resolution: tuple[int, int],
@@ -70,7 +72,7 @@ def build_bridge_world(
 ) -> mujoco.MjModel:
     """Return a bridge of `length` by `width` (m), with the rover standing at its start in the keyframe `start`.
 
-    Contact sensors remember `memory` physics steps.
+    `walker_radii` are those of the moving obstacles, m. Contact sensors remember `memory` physics steps.
     """
     spec = mujoco.MjSpec.from_file(str(world_path("bridge")))
     spec.option.timestep = timestep
@@ -81,8 +83,8 @@ def build_bridge_world(
         half_length, half_width = BLOCK_SIZES[i % len(BLOCK_SIZES)]
         size = [half_length, half_width, BLOCK_HEIGHT / 2]
         _add_box(body, size, [0, 0, BLOCK_HEIGHT / 2], "block")
-    for name in walker_names(walkers):
-        _add_walker(spec.body("walkers").add_body(name=name, pos=[0, 0, HIDDEN]))
+    for name, radius in zip(walker_names(len(walker_radii)), walker_radii, strict=True):
+        _add_walker(spec.body("walkers").add_body(name=name, pos=[0, 0, HIDDEN]), radius)
     add_rover(spec, (START_X, 0.0))
     spec.camera(PREFIX + "front").fovy = vertical_field_of_view(resolution, field_of_view)
     add_contact_sensors(
@@ -102,7 +104,7 @@ def _resize_deck(spec: Any, length: float, width: float) -> None:
     goal.size = [goal.size[0], width / 2, goal.size[2]]
     goal.pos = [length - GOAL_MARGIN, 0, goal.pos[2]]
     overview = spec.camera("overview")
-    overview.pos = overview.pos * length / 20.0  # the MJCF's is for 20 m
+    overview.pos = overview.pos * max(length / 20.0, width / 10.0)  # the MJCF's is for 20 m by at most 10 m
     world = spec.worldbody
     for y in (-0.35 * width, 0.35 * width):
         _add_box(world, [length / 2, 0.15, 0.25], [length / 2, y, -SLAB_DEPTH - 0.25], "concrete", LOOKS)
@@ -133,11 +135,13 @@ def _add_jersey_barriers(spec: Any, length: float, width: float) -> None:
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="jersey_barrier", material="concrete")
 
 
-def _add_walker(body: Any) -> None:
-    """Add a person as a cylinder with a visual head."""
+def _add_walker(body: Any, radius: float) -> None:
+    """Add a cylinder; one as slender as a person has a visual head."""
     shoulders = WALKER_HEIGHT - 0.25
     kind = mujoco.mjtGeom.mjGEOM_CYLINDER
-    body.add_geom(type=kind, size=[WALKER_RADIUS, shoulders / 2, 0], pos=[0, 0, shoulders / 2], material="coat")
+    body.add_geom(type=kind, size=[radius, shoulders / 2, 0], pos=[0, 0, shoulders / 2], material="coat")
+    if radius > WALKER_RADIUS:
+        return
     head = 0.13
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[head, 0, 0], pos=[0, 0, WALKER_HEIGHT - head], material="skin"

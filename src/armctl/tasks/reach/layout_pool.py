@@ -7,30 +7,25 @@ the same 2,000 layouts: their episodes are no independent ones. `tools/make_layo
 """
 
 import functools
-import io
 import math
-import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.errors import ConfigurationError
-from armctl.core.files import bounded_bytes, digest
+from armctl.core.files import digest
 from armctl.core.seeds import DEVELOPMENT_SEED, TEST_SEED, TRAINING_SEEDS, VALIDATION_SEED
+from armctl.core.shipped import check_arrays, read_shipped, write_shipped
 from armctl.robot_description import ArmDescription
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach.obstacle_layout import MAX_OBSTACLES
 
-T = TypeVar("T")
 POOL_FILE = Path(__file__).with_name("layout_pool.npz")
 FORMAT = 2
 """Format number of the file."""
-LARGEST_POOL = 16 * 2**20
-"""Bytes of a pool's file, and of the arrays in it, that armctl reads."""
 PARTS = ("development", "validation", "training")
 """The parts that many seeds draw from, in the order in which they lie in the pool, after those of single seeds."""
 SEEDS_WITH_LAYOUTS = (DEVELOPMENT_SEED, TEST_SEED)
@@ -107,15 +102,6 @@ class LayoutPool:
         return int(rows[place_in_order(seed, episode, len(rows))])
 
 
-def check_arrays(owner: Any, **expected: tuple[type[np.generic], tuple[int, ...]]) -> None:
-    """Make arrays of an object read-only. Raise `ConfigurationError` for one of another type or shape than expected."""
-    for name, (kind, shape) in expected.items():
-        array = getattr(owner, name)
-        if array.dtype != kind or array.shape != shape or not np.isfinite(array).all():
-            raise ConfigurationError(f"{name} should be finite numbers {shape}, not {array.dtype} {array.shape}")
-        array.setflags(write=False)
-
-
 def unpacked(counts: NDArray[np.uint8], packed: NDArray[np.float32], max_boxes: int) -> NDArray[np.float32]:
     """Return boxes (k, max_boxes, numbers), read-only, zeros for absent ones, from `counts` (k,) and all in a row."""
     boxes = np.zeros((len(counts), max_boxes, packed.shape[1]), dtype=np.float32)
@@ -165,8 +151,7 @@ def _rounded(numbers: ArrayLike) -> list[float]:
 
 def write_pool(pool: LayoutPool, path: Path) -> None:
     """Write a pool's file: the same bytes for the same pool."""
-    values = {field.name: getattr(pool, field.name) for field in fields(pool)}
-    np.savez(path, allow_pickle=False, format=FORMAT, **values)
+    write_shipped(pool, FORMAT, path, compressed=False)
 
 
 def read_pool(path: Path) -> LayoutPool:
@@ -176,25 +161,6 @@ def read_pool(path: Path) -> LayoutPool:
         return LayoutPool(**values | {"robot": str(values["robot"]), "tolerance": float(values["tolerance"])})
 
     return read_shipped(path, FORMAT, pool_of)
-
-
-def read_shipped(path: Path, number: int, make: Callable[[dict[str, Any]], T]) -> T:
-    """Return what `make` makes of the arrays in a file with the format `number`, by their names.
-
-    Raises `ConfigurationError` if the file is missing or damaged.
-    """
-    try:
-        content = io.BytesIO(bounded_bytes(path, LARGEST_POOL))
-        with zipfile.ZipFile(content) as archive:
-            if sum(member.file_size for member in archive.infolist()) > LARGEST_POOL:
-                raise ValueError("its arrays are too large")
-        with np.load(content, allow_pickle=False) as arrays:
-            values = dict(arrays)
-        if (other := values.pop("format")) != number:
-            raise ValueError(f"it has format {other}, not {number}")
-        return make(values)
-    except Exception as error:  # what zipfile and numpy raise for damaged files is not documented
-        raise ConfigurationError(f"the layouts in {path} cannot be read ({error}): install armctl again") from error
 
 
 @functools.cache

@@ -6,7 +6,7 @@ ICRA 2024), Apache-2.0. `tools/make_motion_bench_maker.py` converts and certifie
 """
 
 import functools
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import ConfigurationError, unknown_name
+from armctl.core.shipped import check_arrays, read_shipped
 from armctl.scene import TILTED_BOX_NUMBERS
-from armctl.tasks.reach.layout_pool import check_arrays, read_shipped, unpacked
+from armctl.tasks.reach.layout_pool import unpacked
 
 ROBOTS = "ur5_robotiq85", "panda_open"
 """The arms of the problems, with open grippers."""
@@ -93,12 +94,6 @@ def scene_names(scenes: str) -> tuple[str, ...]:
         if name not in SCENES:
             raise unknown_name("scene", name, [*SCENES, "all"])
     return names
-
-
-def write_problems(problems: Problems, path: Path) -> None:
-    """Write a file of problems: the same bytes for the same problems."""
-    values = {field.name: getattr(problems, field.name) for field in fields(problems)}
-    np.savez_compressed(path, allow_pickle=False, format=FORMAT, **values)
 
 
 def problems_file(robot: str) -> Path:
