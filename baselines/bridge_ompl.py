@@ -147,9 +147,12 @@ class BridgeOmpl:
         return float(shares[safe.argmax()] if safe.any() else shares[closest.argmax()])
 
     def _off_all_lanes(self, points: Array) -> NDArray[np.bool_]:
-        pedestrians, lanes = self._crossing, self._crossing.lanes
-        lane = lanes[:, 2:] - lanes[:, :2]
-        offset = points[..., None, :] - lanes[:, :2]
+        room = RADIUS + self._crossing.radius + MARGIN / 2
+        low, high = points.min(axis=(0, 1)) - room, points.max(axis=(0, 1)) + room
+        first, last = np.split(self._crossing.lanes, 2, axis=1)
+        near = (np.minimum(first, last) <= high).all(axis=1) & (np.maximum(first, last) >= low).all(axis=1)
+        first, lane = first[near], (last - first)[near]
+        offset = points[..., None, :] - first
         share = np.clip((offset * lane).sum(axis=-1) / (lane * lane).sum(axis=-1), 0.0, 1.0)
-        distance = np.linalg.norm(offset - share[..., None] * lane, axis=-1).min(axis=-1)
-        return np.asarray(distance >= RADIUS + pedestrians.radius + MARGIN / 2)
+        distance = np.linalg.norm(offset - share[..., None] * lane, axis=-1).min(axis=-1, initial=np.inf)
+        return np.asarray(distance >= room)

@@ -5,6 +5,7 @@ and the plugin's `Load` creates the key frames of an animation: time, x, y. It w
 code loads these numbers one after the other: the duration, and for each frame the time, z, y, x, and three angles.
 """
 
+import functools
 import re
 import struct
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from armctl.core.files import write_atomically
 from armctl.core.shipped import write_shipped
 from armctl.tasks.bridge.dynabarn import FIELDS, FILE, FORMAT, LEVELS, MAX_DISCS, ROUTES, DynaBarn
 
@@ -63,7 +65,8 @@ def main(
         row[: len(of_world)] = of_world
     packed = np.concatenate(routes) * (1.0, -1.0, -1.0)  # the challenge's robot drives towards -x
     counts = np.array([len(route) for route in routes], dtype=np.uint8)
-    write_shipped(DynaBarn(counts, packed.astype(np.float32), fields.astype(np.int16)), FORMAT, out)
+    converted = DynaBarn(counts, packed.astype(np.float32), fields.astype(np.int16))
+    write_atomically(out, functools.partial(write_shipped, converted, FORMAT))
     typer.echo(f"{len(routes)} routes with {counts.sum()} corners, and {len(fields)} fields: {out}")
 
 

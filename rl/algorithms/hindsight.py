@@ -18,9 +18,15 @@ from armctl.rl.data.demonstrations import slices_of_parts
 from armctl.rl.networks.frames import FrameFeatures
 from armctl.rl.networks.view import View
 from armctl.rl.run.vector import EncodedVectorEnv
+from armctl.tasks import Task
 from armctl.tasks.reach.state import STEP_REWARD
 
 ACHIEVED, DESIRED = "achieved_goal", "desired_goal"
+
+
+def has_goals(task: Task) -> bool:
+    """Return whether the task's own class declares goals: success in a subclass of one that does may be another."""
+    return "goals" in vars(type(task))
 
 
 class GoalVectorEnv(EncodedVectorEnv):

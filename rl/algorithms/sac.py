@@ -17,7 +17,7 @@ from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, Vectori
 from armctl.agents import AgentCard
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Count, NonNegative, Positive, Share, options
-from armctl.rl.algorithms.hindsight import GoalVectorEnv, HindsightBuffer
+from armctl.rl.algorithms.hindsight import GoalVectorEnv, HindsightBuffer, has_goals
 from armctl.rl.algorithms.sb3_training import REPLAY, decaying, learn
 from armctl.rl.data.demonstrations import teacher_in
 from armctl.rl.run.learner import learner
@@ -168,7 +168,7 @@ class SquashedMean(torch.nn.Module):
 
 def _make_vec_env(training: Training, options: SacOptions) -> StableBaselinesVectorEnv:
     task = training.envs.unwrapped.task
-    with_goals = options.relabelled and task.goals is not None
+    with_goals = options.relabelled and has_goals(task)
     if with_goals and list(task.options.parts) != list(task.options.observations["paper"]):
         raise ConfigurationError(
             "hindsight knows the observation 'paper' only: choose that, or set the option relabelled to 0"

@@ -1,7 +1,7 @@
 """Trajectories of pedestrians on a bridge."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,11 @@ class PedestrianTrajectories:
         """(..., w) True for pedestrians who walk along the bridge or stand, rather than walk across it."""
         extent = np.abs(self.end - self.start)
         return np.asarray(extent[..., 0] >= extent[..., 1])
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """All arrays, by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "radius"}
 
     @property
     def lanes(self) -> Array:

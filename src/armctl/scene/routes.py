@@ -52,16 +52,18 @@ class Routes(PedestrianTrajectories):
 
     def positions_of_each(self, times: Array) -> Array:
         """Return positions (..., w, 2) m, of each obstacle at a time of its own, (..., w) s."""
-        return np.asarray(self._moved(times)[0])
+        return self._motion(times)[0]
 
     def velocities_of_each(self, times: Array) -> Array:
         """Return velocities (..., w, 2) m/s, of each obstacle at a time of its own, (..., w) s."""
-        return np.asarray(self._moved(times)[1])
+        return self._motion(times)[1]
 
-    def _moved(self, times: Array) -> Array:
-        """Return positions and velocities, (2, ..., w, 2)."""
-        clocks = np.broadcast_to(times, np.broadcast_shapes(np.shape(times), np.shape(self.speed))).ravel()
-        moved = np.empty((2, len(clocks), 2))
+    def _motion(self, times: Array) -> tuple[Array, Array]:
+        shape = np.broadcast_shapes(np.shape(times), np.shape(self.speed))
+        positions, velocities = np.empty((2, *shape, 2))
         *_, corners, _ = np.shape(self.corners)
-        kernel.move(self.corners.reshape(-1, corners, 2), self.times.reshape(-1, corners), clocks, *moved)
-        return moved.reshape(2, *np.broadcast_shapes(np.shape(times), np.shape(self.speed)), 2)
+        kernel.move(
+            self.corners.reshape(-1, corners, 2), self.times.reshape(-1, corners),
+            np.broadcast_to(times, shape).ravel(), positions.reshape(-1, 2), velocities.reshape(-1, 2),
+        )  # fmt: skip
+        return positions, velocities

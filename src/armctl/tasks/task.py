@@ -236,10 +236,8 @@ class Task(TaskFacts):
         """Physics steps between two control steps."""
 
     def __init_subclass__(cls) -> None:
-        """Check the subclass's outcomes, and inherit no goals."""
+        """Check the subclass's outcomes."""
         super().__init_subclass__()
-        if "goals" not in vars(cls):
-            cls.goals = Task.goals  # type: ignore[method-assign]
         names = {member.value: member.name for member in getattr(cls, "outcomes", ())}
         if names and (sorted(names) != list(range(len(names))) or names[0] != "TIMEOUT"):
             raise ConfigurationError(
@@ -320,7 +318,7 @@ class Task(TaskFacts):
 
     @property
     def goals(self) -> Goals | None:
-        """Goals for hindsight; None by default, and in subclasses of tasks with goals: their success may be another."""
+        """Goals for hindsight of the class that declares them, as success in a subclass may be another; else None."""
         return None
 
     @property

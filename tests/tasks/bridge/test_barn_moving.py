@@ -57,11 +57,11 @@ def test_fields_have_the_number_of_discs_of_their_level_on_routes_of_it(level):
     assert set(fields[fields >= 0] // ROUTES) == {first}
 
 
-@pytest.mark.parametrize("published", [False, True])
+@pytest.mark.parametrize("challenge", [False, True])
 @pytest.mark.parametrize("level", [*LEVELS, "all"])
-def test_sampled_discs_stay_in_the_square_and_the_start_is_free(level, published):
+def test_sampled_discs_stay_in_the_square_and_the_start_is_free(level, challenge):
     for seed in range(5):
-        discs = sample_routes(np.random.default_rng(seed), level, 1.0, published=published)
+        discs = sample_routes(np.random.default_rng(seed), level, 1.0, challenge=challenge)
         moving, times = discs.speed > 0, np.linspace(0.0, 60.0, 301)
         assert discs.speed.shape == (MAX_DISCS,)
         assert COUNTS["easy" if level == "all" else level][0] <= moving.sum() <= MAX_DISCS

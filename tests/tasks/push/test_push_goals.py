@@ -1,8 +1,9 @@
 import numpy as np
 
 from armctl.envs import TaskVectorEnv
+from armctl.rl.algorithms.hindsight import has_goals
 from armctl.scene import push_table
-from armctl.tasks import PushTask, ReachMovingTask
+from armctl.tasks import PushTask, ReachMovingTask, ReachTask
 from armctl.tasks.reach.state import GOAL_REWARD
 
 N = 12
@@ -80,5 +81,6 @@ def test_a_subclass_has_no_goals_but_its_own():
     class MarkedPushTask(PushTask):
         pass
 
-    for task in (MarkedPushTask, ReachMovingTask):
-        assert TaskVectorEnv(1, task=task, threads=1).task.goals is None
+    kinds = (PushTask, MarkedPushTask, ReachTask, ReachMovingTask)
+    declared = [has_goals(TaskVectorEnv(1, task=task, threads=1).task) for task in kinds]
+    assert declared == [True, False, True, False]

@@ -62,6 +62,6 @@ class BarnMovingTask(BridgeTask):
 
     def _sample_episode(self, rng: np.random.Generator) -> Layout:
         options = self.options
-        routes = sample_routes(rng, options.level, START_X, published=options.fields == "challenge")
+        routes = sample_routes(rng, options.level, START_X, challenge=options.fields == "challenge")
         field = BridgeMap(options.deck_length, SIDE / 2, np.zeros((0, 5)), routes)
         return Layout(field, np.zeros(0, dtype=np.intp))

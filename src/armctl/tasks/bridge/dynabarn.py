@@ -77,15 +77,15 @@ def shipped_fields() -> DynaBarn:
 
 
 def sample_routes(
-    rng: np.random.Generator, level: Level | Literal["all"], start_x: float, *, published: bool
+    rng: np.random.Generator, level: Level | Literal["all"], start_x: float, *, challenge: bool
 ) -> Routes:
     """Sample the discs of a field of a level, or of a level that is sampled too, for a rover that starts at `start_x`.
 
-    A `published` one is one of the challenge, whose discs have moved for up to `LONGEST_DELAY` s. The discs of others
+    With `challenge`, it is one of the challenge's, whose discs have moved for up to `LONGEST_DELAY` s. Discs of others
     are on routes of the level, each mirrored or not, and anywhere on it.
     """
     fields, chosen = shipped_fields(), LEVELS.index(LEVELS[rng.integers(len(LEVELS))] if level == "all" else level)
-    if published:
+    if challenge:
         rows = fields.fields[chosen * FIELDS + rng.integers(FIELDS)]
         rows = rows[rows >= 0]
         signs, delays = np.ones(len(rows)), np.full(len(rows), rng.uniform(0.0, LONGEST_DELAY))

@@ -1,7 +1,7 @@
 """Pedestrians of n bridges who follow their trajectories, whatever the rovers do; those who react are a subclass."""
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,8 @@ class Pedestrians:
 
     def begin(self, ids: Ids, layouts: Sequence[Layout]) -> None:
         """Put those of worlds `ids` on the lines of their layouts, m."""
-        for name in (field.name for field in fields(self.lines) if field.name != "radius"):
-            getattr(self.lines, name)[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
+        for name, values in self.lines.arrays.items():
+            values[ids] = [getattr(layout.map.pedestrians, name) for layout in layouts]
 
     def reset(self, ids: Ids) -> None:
         """Begin new episodes in worlds `ids`."""
@@ -59,6 +59,5 @@ class Pedestrians:
 
 def on_lines_like(lines: PedestrianTrajectories, num_envs: int) -> PedestrianTrajectories:
     """Return the pedestrians of one bridge on each of n bridges, in arrays of their own."""
-    names = [field.name for field in fields(lines) if field.name != "radius"]
-    arrays: dict[str, Any] = {name: np.stack([getattr(lines, name)] * num_envs) for name in names}
-    return replace(lines, **arrays)
+    copies: dict[str, Any] = {name: np.stack([values] * num_envs) for name, values in lines.arrays.items()}
+    return replace(lines, **copies)

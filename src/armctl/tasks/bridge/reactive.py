@@ -15,6 +15,7 @@ stands.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,8 +75,8 @@ class ReactivePedestrians(Pedestrians):
     def on(self, bridge: BridgeMap, world: int) -> BridgeMap:
         """Return the map of a world's bridge, with the pedestrians as they would go on if they met nobody any more."""
         everywhere = self.trajectories()
-        arrays = {name: getattr(everywhere, name)[world].copy() for name in ("start", "end", "speed", "phase")}
-        return replace(bridge, pedestrians=PedestrianTrajectories(**arrays, radius=everywhere.radius))
+        of_world: dict[str, Any] = {name: values[world].copy() for name, values in everywhere.arrays.items()}
+        return replace(bridge, pedestrians=replace(everywhere, **of_world))
 
     def positions(self, times: Array) -> Array:
         """Return present positions (n, w, 2) m at the present times (n,) s."""

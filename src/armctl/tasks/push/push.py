@@ -75,8 +75,16 @@ class PushTask(TabletopTask):
 
     @property
     def goals(self) -> Goals | None:
-        """Goals of the options."""
-        return self.options.goals
+        """Object and target, (n, 3): x, y, m, and whether the object is, or has to be, at rest (1)."""
+        return Goals(
+            achieved=lambda state: np.column_stack((state.object_position[:, :2], state.at_rest & ~state.fell)),
+            desired=lambda state: np.column_stack((state.target_position[:, :2], np.ones(len(state.fell)))),
+            reached=lambda achieved, desired: (
+                (np.hypot(*(achieved - desired)[:, :2].T) <= self.options.tolerance) & (achieved[:, 2] > 0)
+            ),
+            part="target_position",
+            size=2,
+        )
 
     def outcome(self) -> NDArray[np.int8]:
         """Return `FELL` or `PLACED`; `TIMEOUT` while the episode goes on."""

@@ -8,12 +8,15 @@
 
 import itertools
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.robot_description import ArmDescription
+from armctl.tasks.goals import Goals
 from armctl.tasks.reach.state import ReachState, Term
 
 Bounds = Any
@@ -87,10 +90,14 @@ The features have velocities here: hindsight learns to stay at a goal, which nee
 """
 
 
-def observed_distances(positions: Array, targets: Array) -> Any:
-    """Return distances (m) of positions from targets (..., 3), rounded as they are observed."""
-    offset = np.float32(targets).astype(float) - np.float32(positions)
-    return np.sqrt((offset * offset).sum(axis=-1))
+def position_goals(tolerance: float) -> Goals:
+    """Return end-effector and target as goals, (n, 3) m each, reached within a tolerance, m, as they are observed."""
+
+    def reached(positions: Array, targets: Array) -> NDArray[np.bool_]:
+        offset = np.float32(targets).astype(float) - np.float32(positions)
+        return np.asarray(np.sqrt((offset * offset).sum(axis=-1)) <= tolerance)
+
+    return Goals(attrgetter("end_effector_position"), attrgetter("target_position"), reached, "target_position", 3)
 
 
 def observation_sizes(dof: int) -> dict[str, int]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import field
-from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -11,8 +10,7 @@ from pydantic import AfterValidator, Field, Strict
 from armctl.core.errors import ConfigurationError
 from armctl.core.options import Positive, options
 from armctl.robot_description import ArmDescription
-from armctl.tasks.goals import Goals
-from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL, observed_distances
+from armctl.tasks.reach.observation import OBSERVATIONS, WITHOUT_GOAL
 from armctl.tasks.reach.state import GOAL_REWARD, REWARD, Term
 from armctl.tasks.task import OneTimeTerm
 
@@ -89,17 +87,6 @@ class ReachOptions:
         if not isinstance(goal, OneTimeTerm) or goal.bounds != (0.0, GOAL_REWARD):
             raise ConfigurationError("goal_reward is for the task's own reward, not for named terms")
         return {**self.reward, "goal": OneTimeTerm(lambda state: share * goal(state), (0.0, self.goal_reward))}
-
-    @property
-    def goals(self) -> Goals:
-        """End-effector and target, (n, 3) m each, for hindsight in `armctl/ArmReach-v0`."""
-        return Goals(
-            achieved=attrgetter("end_effector_position"),
-            desired=attrgetter("target_position"),
-            reached=lambda achieved, desired: observed_distances(achieved, desired) <= self.tolerance,
-            part="target_position",
-            size=3,
-        )
 
     @property
     def parts(self) -> Mapping[str, Term]:

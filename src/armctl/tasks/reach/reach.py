@@ -32,7 +32,7 @@ from armctl.tasks.reach.observation import (
     Bounds,
     bounds_of_parts,
     observation_slices,
-    observed_distances,
+    position_goals,
 )
 from armctl.tasks.reach.options import ReachOptions
 from armctl.tasks.reach.potentials import MinimumTime, MpcCost
@@ -179,8 +179,8 @@ class ReachTask(Task):
 
     @property
     def goals(self) -> Goals | None:
-        """Goals of the options."""
-        return self.options.goals
+        """End-effector and target."""
+        return position_goals(self.options.tolerance)
 
     def reset(self, ids: Ids, rngs: list[np.random.Generator]) -> None:
         """Move arms to home, and targets to random positions."""
@@ -229,7 +229,7 @@ class ReachTask(Task):
 
     def compute_terminated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
         """Return whether the episode would have ended: the end-effector is within the tolerance of the goal."""
-        return observed_distances(achieved_goal, desired_goal) <= self.options.tolerance
+        return position_goals(self.options.tolerance).reached(achieved_goal, desired_goal)
 
     def compute_truncated(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
         """Return False: the time limit has nothing to do with the goal."""
