@@ -15,6 +15,8 @@ from armctl.kernels.compiling import compiled
 
 PLANE, SPHERE, CYLINDER, CAPSULE, BOX, POLYTOPE = range(6)
 NONE = np.inf
+PARALLEL = 1e-15
+"""Rays whose direction has so small a part along a face's normal are parallel to the face."""
 NEAR = 1e-6
 """m: what is nearer to the camera along its axis is not looked for."""
 
@@ -48,10 +50,23 @@ class Cameras(NamedTuple):
     """(n, 3)."""
     rotations: Array
     """(n, 9)."""
-    rays: Array
-    """(rows, columns, 3) in the camera's frame."""
+    across: Array
+    """(columns,) parts of rays to the right, in the camera's frame."""
+    up: Array
+    """(rows,) and upwards; they have length 1 along the optical axis."""
     pixel: float
     """Distance between two rays, at depth 1."""
+
+
+class Row(NamedTuple):
+    """Rays of a row of pixels, (columns,) each: directions in a shape's frame, and lengths."""
+
+    x: Array
+    y: Array
+    z: Array
+    enter: Array
+    leave: Array
+    lengths: Array
 
 
 @compiled
@@ -73,15 +88,12 @@ def hit_quadratic(a, b, c):
 
 
 @compiled
-def hit_plane(size, origin, direction):
+def hit_plane(size, origin, x, y, z):
     """Intersect the plane z = 0, seen from above, within its half sizes (0: unbounded)."""
-    if direction[2] > -1e-15:
-        return NONE
-    t = -origin[2] / direction[2]
-    for i in range(2):
-        if size[i] > 0 and abs(origin[i] + t * direction[i]) > size[i]:
-            return NONE
-    return t if t >= 0 else NONE
+    t = -origin[2] / z
+    within_x = size[0] <= 0 or abs(origin[0] + t * x) <= size[0]
+    within_y = size[1] <= 0 or abs(origin[1] + t * y) <= size[1]
+    return t if z <= -PARALLEL and within_x and within_y and t >= 0 else NONE
 
 
 @compiled
@@ -113,51 +125,31 @@ def hit_tube(radius, origin, direction):
 
 
 @compiled
-def hit_box(size, count, origin, direction):
-    """Intersect a box with half sizes; of these, the last `count` axes bound it."""
-    enter, leave = -np.inf, np.inf
-    for i in range(3 - count, 3):
-        if abs(direction[i]) < 1e-15:
-            if abs(origin[i]) > size[i]:
-                return np.inf, -np.inf
-            continue
-        near, far = (-size[i] - origin[i]) / direction[i], (size[i] - origin[i]) / direction[i]
-        enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
-    return enter, leave
+def hit_slab(half, origin, direction):
+    """Return the lengths at which a ray enters and leaves the slab within `half` of 0 along an axis."""
+    first, second = (-half - origin) / direction, (half - origin) / direction
+    if abs(direction) < PARALLEL:
+        return (np.inf, -np.inf) if abs(origin) > half else (-np.inf, np.inf)
+    return min(first, second), max(first, second)
 
 
 @compiled
-def hit_polytope(faces, origin, direction):
-    """Intersect a convex polytope n x <= d, with `faces` (k, 4) of n and d."""
-    enter, leave = -np.inf, np.inf
-    for k in range(len(faces)):
-        along = faces[k, 0] * direction[0] + faces[k, 1] * direction[1] + faces[k, 2] * direction[2]
-        room = faces[k, 3] - faces[k, 0] * origin[0] - faces[k, 1] * origin[1] - faces[k, 2] * origin[2]
-        if abs(along) < 1e-15:
-            if room < 0:
-                return NONE
-        elif along < 0:
-            enter = max(enter, room / along)
-        else:
-            leave = min(leave, room / along)
-    return first_of(enter, leave)
+def hit_box(size, origin, x, y, z):
+    """Intersect a box with half sizes."""
+    enter_x, leave_x = hit_slab(size[0], origin[0], x)
+    enter_y, leave_y = hit_slab(size[1], origin[1], y)
+    enter_z, leave_z = hit_slab(size[2], origin[2], z)
+    return first_of(max(enter_x, enter_y, enter_z), min(leave_x, leave_y, leave_z))
 
 
 @compiled
-def hit(kind, size, faces, origin, direction):
-    """Return the length of a ray, in a shape's frame, to its first hit; infinite for a miss."""
-    if kind == BOX:
-        enter, leave = hit_box(size, 3, origin, direction)
-        return first_of(enter, leave)
-    if kind == POLYTOPE:
-        return hit_polytope(faces, origin, direction)
-    if kind == PLANE:
-        return hit_plane(size, origin, direction)
+def hit_round(kind, size, origin, direction):
+    """Intersect a sphere, cylinder or capsule along the z axis."""
     if kind == SPHERE:
         return hit_sphere(size[0], 0.0, origin, direction)
     enter, leave = hit_tube(size[0], origin, direction)
     if kind == CYLINDER:
-        low, high = hit_box(np.array((0.0, 0.0, size[1])), 1, origin, direction)
+        low, high = hit_slab(size[1], origin[2], direction[2])
         return first_of(max(enter, low), min(leave, high))
     nearest = first_of(enter, leave)
     if abs(origin[2] + nearest * direction[2]) > size[1]:
@@ -167,6 +159,41 @@ def hit(kind, size, faces, origin, direction):
         if cap < nearest and (origin[2] + cap * direction[2]) * math.copysign(1.0, end) >= size[1]:
             nearest = cap
     return nearest
+
+
+@compiled
+def hit_polytope(faces, origin, row, count):
+    """Intersect a convex polytope n x <= d, with `faces` (k, 4) of n and d, with `count` rays of a row."""
+    row.enter[:count], row.leave[:count] = -np.inf, np.inf
+    for k in range(len(faces)):
+        n_x, n_y, n_z, offset = faces[k]
+        room = offset - n_x * origin[0] - n_y * origin[1] - n_z * origin[2]
+        outside = np.inf if room < 0 else -np.inf
+        for i in range(count):
+            along = n_x * row.x[i] + n_y * row.y[i] + n_z * row.z[i]
+            length = room / along
+            near = length if along <= -PARALLEL else outside if along < PARALLEL else -np.inf
+            far = length if along >= PARALLEL else np.inf
+            row.enter[i], row.leave[i] = max(row.enter[i], near), min(row.leave[i], far)
+    for i in range(count):
+        row.lengths[i] = first_of(row.enter[i], row.leave[i])
+
+
+@compiled
+def hit_row(kind, size, faces, origin, row, count):
+    """Compute the lengths of `count` rays, in a shape's frame, to their first hits; infinite for a miss."""
+    x, y, z, lengths = row.x, row.y, row.z, row.lengths
+    if kind == BOX:
+        for i in range(count):
+            lengths[i] = hit_box(size, origin, x[i], y[i], z[i])
+    elif kind == POLYTOPE:
+        hit_polytope(faces, origin, row, count)
+    elif kind == PLANE:
+        for i in range(count):
+            lengths[i] = hit_plane(size, origin, x[i], y[i], z[i])
+    else:
+        for i in range(count):
+            lengths[i] = hit_round(kind, size, origin, (x[i], y[i], z[i]))
 
 
 @compiled
@@ -220,13 +247,10 @@ def cast(shapes, geoms, cameras, world, depths, hits):
     sizes = geoms.sizes[world if len(geoms.sizes) > 1 else 0]
     aabbs = geoms.aabbs[world if len(geoms.aabbs) > 1 else 0]
     positions, rotations = geoms.positions[world], geoms.rotations[world]
-    camera, camera_rotation, rays, faces = (
-        cameras.positions[world],
-        cameras.rotations[world],
-        cameras.rays,
-        shapes.faces,
-    )
-    turn, origin, direction, corners = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((8, 3))
+    camera, camera_rotation, faces = cameras.positions[world], cameras.rotations[world], shapes.faces
+    turn, origin, corners = np.empty((3, 3)), np.empty(3), np.empty((8, 3))
+    values = np.empty((6, columns))
+    row = Row(values[0], values[1], values[2], values[3], values[4], values[5])
     for kind, geom, first, last in shapes.rows:
         for i in range(3):
             origin[i] = 0.0
@@ -239,14 +263,19 @@ def cast(shapes, geoms, cameras, world, depths, hits):
         if kind != PLANE:
             place_corners(aabbs[geom], turn, origin, corners)
             top, bottom, left, right = seen_rectangle(corners, cameras.pixel, rows, columns)
-        for row in range(top, bottom):
-            for column in range(left, right):
-                ray = rays[row, column]
-                for i in range(3):
-                    direction[i] = turn[i, 0] * ray[0] + turn[i, 1] * ray[1] + turn[i, 2] * ray[2]
-                depth = hit(kind, sizes[geom], faces[first:last], origin, direction)
-                if depth < depths[row, column]:
-                    depths[row, column], hits[row, column] = depth, geom
+        size, place = (sizes[geom, 0], sizes[geom, 1], sizes[geom, 2]), (origin[0], origin[1], origin[2])
+        count, across = right - left, cameras.across[left:right]
+        for j in range(top, bottom):
+            up, nearest, nearest_geoms = cameras.up[j], depths[j, left:right], hits[j, left:right]
+            for i in range(count):
+                row.x[i] = turn[0, 0] * across[i] + turn[0, 1] * up - turn[0, 2]
+                row.y[i] = turn[1, 0] * across[i] + turn[1, 1] * up - turn[1, 2]
+                row.z[i] = turn[2, 0] * across[i] + turn[2, 1] * up - turn[2, 2]
+            hit_row(kind, size, faces[first:last], place, row, count)
+            for i in range(count):
+                is_nearer = row.lengths[i] < nearest[i]
+                nearest[i] = row.lengths[i] if is_nearer else nearest[i]
+                nearest_geoms[i] = geom if is_nearer else nearest_geoms[i]
 
 
 @compiled

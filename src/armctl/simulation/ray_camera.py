@@ -42,6 +42,7 @@ class RayCamera:
         self._geom_groups = np.ones(mujoco.mjNGROUP, dtype=np.uint8)
         self._geom_groups[list(hidden_groups)] = 0
         self._rays = pixel_rays(resolution, field_of_view)
+        self._directions = self._rays[0, :, 0].copy(), self._rays[:, 0, 1].copy()
         self._shapes = ray_shapes(simulation.model, self._visible_geoms())
         self._pool = ThreadPoolExecutor(simulation.threads)
 
@@ -64,7 +65,7 @@ class RayCamera:
         sizes, boxes = (self._simulation.field(name) for name in ("geom_size", "geom_aabb"))
         geoms = rays.Geoms(sizes, boxes, *self._geoms)
         pixel = self._rays[0, 1, 0] - self._rays[0, 0, 0]
-        cameras = rays.Cameras(self._positions, self._rotations, self._rays, pixel)
+        cameras = rays.Cameras(self._positions, self._rotations, *self._directions, pixel)
 
         def cast(part: slice) -> None:
             rays.cast_all(worlds[part], shapes, geoms, cameras, depths[part], hits[part])
