@@ -66,15 +66,21 @@ def begin(arms, ids, margin):
 
 
 @compiled
-def keeps_margins(scene, motion, margins, slack, ends, moved):
-    """Return True if no pair of an arm with segments' `ends` is below its margin after joints have `moved` (dof,) rad.
-
-    A pair is measured only after its links may have used up the slack that they had when it was measured last.
-    """
-    _, links, pairs, boxes = scene
-    for k in range(len(pairs)):
+def use_up(motion, slack, moved):
+    """Take from the `slack` of each pair what joints that have `moved` (dof,) rad may have used; is any used up?"""
+    is_used_up = False
+    for k in range(len(slack)):
         for i in range(len(moved)):
             slack[k] -= motion[k, i] * moved[i]
+        is_used_up = is_used_up or slack[k] < 0
+    return is_used_up
+
+
+@compiled
+def keeps_margins(scene, margins, slack, ends):
+    """Return True if no pair of an arm with segments' `ends` is below its margin; only used up pairs are measured."""
+    _, links, pairs, boxes = scene
+    for k in range(len(pairs)):
         if slack[k] < 0:
             slack[k] = distance(links, boxes, ends, pairs[k]) - margins[k]
             if slack[k] < 0:
@@ -93,7 +99,7 @@ def move(arms, tolerance, goals, ticks, tick):
     rotations, origins, moved = np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty(dof)
     ends, tip = np.empty((len(links), 2, 3)), np.empty(3)
     for arm in range(len(states)):
-        scene, margins, slack = scene_of(arms, arm), arms.margins[arm], arms.slack[arm]
+        scene, margins, slack = scene_of(arms, arm), arms.margins[arm], arms.slack[arm, : number_of_pairs(arms, arm)]
         position, velocity, target = arms.positions[arm], arms.velocities[arm], arms.targets[arm]
         for _ in range(ticks):
             if states[arm] != MOVING:
@@ -102,10 +108,11 @@ def move(arms, tolerance, goals, ticks, tick):
             for i in range(dof):
                 moved[i] = abs(velocity[i] * tick)
             forward(joints, position, rotations, origins)
-            place(links, rotations, origins, ends)
-            if not keeps_margins(scene, motion, margins, slack, ends, moved):
-                states[arm] = TOUCHED
-                break
+            if use_up(motion, slack, moved):
+                place(links, rotations, origins, ends)
+                if not keeps_margins(scene, margins, slack, ends):
+                    states[arm] = TOUCHED
+                    break
             tip_of(joints, rotations, origins, tip)
             square = 0.0
             for i in range(3):

@@ -12,7 +12,7 @@ from armctl.kernels.capsules import place
 from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.drives import follow_all
 from armctl.kernels.edges import NEAR_START, Scene, cruise_time, measure_all
-from armctl.kernels.imagined_arm import ARRIVED, MOVING, TOUCHED, keeps_margins
+from armctl.kernels.imagined_arm import ARRIVED, MOVING, TOUCHED, keeps_margins, use_up
 from armctl.kernels.planar import towards
 
 CHECKED_TICKS = 2
@@ -91,13 +91,17 @@ def move(arm, goal, target, memory):
             moved[i] += abs(speed[i] * arm.tick)
         if tick % CHECKED_TICKS and tick < arm.ticks:
             continue
+        is_used_up = use_up(arm.motion, slack, moved)
+        moved[:] = 0.0
+        if arm.stays and not is_used_up and tick < arm.ticks:
+            continue
         forward(joints, q, rotations, origins)
-        place(links, rotations, origins, ends)
         tip_of(joints, rotations, origins, tip)
         distance = math.sqrt((tip[0] - target[0]) ** 2 + (tip[1] - target[1]) ** 2 + (tip[2] - target[2]) ** 2)
-        if not keeps_margins(arm.scene, arm.motion, margins, slack, ends, moved):
-            return TOUCHED, distance
-        moved[:] = 0.0
+        if is_used_up:
+            place(links, rotations, origins, ends)
+            if not keeps_margins(arm.scene, margins, slack, ends):
+                return TOUCHED, distance
         if not arm.stays and distance <= arm.radius:
             return ARRIVED, 0.0
     return MOVING, distance
