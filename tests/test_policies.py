@@ -49,9 +49,9 @@ SEEN = dict.fromkeys(
 SEEN |= dict.fromkeys(("moving_forecast", "moving_estimated", "bridge_cleaned"), "model")
 SEEN |= dict.fromkeys(("moving_robust_distil", "obstacles_ppo", "obstacles_robust_distil"), "model")
 SEEN |= dict.fromkeys(("lift_grasp", "push_line", "reach_impedance", "reach_rate", "reach_ruckig"), "model")
-SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo"), "state")
+SEEN |= dict.fromkeys(("bridge_mpc", "bridge_ompl", "bridge_orca", "bridge_robust_ppo", "bridge_state_ppo"), "state")
 SEEN |= dict.fromkeys(
-    ("barn_moving_state_ppo", "bridge_moving_state_ppo", "bridge_moving_imagined", "bridge_mppi", "bridge_orca"),
+    ("barn_moving_state_ppo", "barn_route_ppo", "bridge_moving_state_ppo", "bridge_moving_imagined", "bridge_mppi"),
     "state",
 )
 SEEN |= dict.fromkeys(("reach_mppi", "bridge_dwa", "bridge_lidar_ompl", "bridge_pursuit"), "model")

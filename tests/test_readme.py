@@ -29,7 +29,7 @@ def test_it_counts_what_there_is():
         6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten", 11: "eleven", 16: "sixteen", 17: "seventeen",
         20: "twenty", 21: "twenty-one", 23: "twenty-three", 24: "twenty-four", 25: "twenty-five",
         26: "twenty-six", 27: "twenty-seven", 28: "twenty-eight", 29: "twenty-nine",
-        30: "thirty", 31: "thirty-one", 32: "thirty-two", 33: "thirty-three",
+        30: "thirty", 31: "thirty-one", 32: "thirty-two", 33: "thirty-three", 34: "thirty-four",
     }  # fmt: skip
     agents = agent_cards()
     experts = [policy for policy in listed_policies() if policy.kind == "expert"]

@@ -56,6 +56,9 @@ push_act = _agent(
 push_cloned_ppo = _agent(
     "push_cloned_ppo", "A clone of `push_line` without its memory on `armctl/ArmPush-v0`, from which PPO goes on."
 )
+lift_cloned_ppo = _agent(
+    "lift_cloned_ppo", "A clone of `lift_grasp` without its memory, improved by PPO on `armctl/ArmLift-v0`."
+)
 push_sac = _agent(
     "push_sac", "SAC with hindsight on `armctl/ArmPush-v0`, which imitates the first steps, `push_line`'s."
 )
@@ -84,6 +87,11 @@ bridge_moving_state_ppo = _agent(
 )
 barn_moving_state_ppo = _agent(
     "barn_moving_state_ppo", "PPO on `armctl/BarnCrossMoving-v0`, without physics; it sees the true state.", "state"
+)
+barn_route_ppo = _agent(
+    "barn_route_ppo",
+    "PPO on `armctl/BarnCross-v0`, without physics; it sees the true state, and computes the shortest ways from it.",
+    "state",
 )
 barn_ppo = _agent(
     "barn_ppo",

@@ -28,6 +28,7 @@ from armctl.rl.networks.layers import (
 from armctl.rl.networks.lift_features import LiftFeatures
 from armctl.rl.networks.link_box_features import LinkBoxFeatures
 from armctl.rl.networks.push_features import PushFeatures
+from armctl.rl.networks.route_features import RouteFeatures
 from armctl.scene import BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.observation import LENGTH_SCALE, NEARBY
@@ -132,6 +133,7 @@ FEATURES: dict[str, type[BaseFeaturesExtractor]] = {
     "push": PushFeatures,
     "nearness": NearnessFeatures,
     "held_nearness": HeldNearnessFeatures,
+    "routes": RouteFeatures,
     "surroundings": Surroundings,
 }
 

@@ -206,7 +206,7 @@ def test_installed_policies_declare_what_they_see():
     declared = {name: declared_sees(name) for name in policy_names()}
     omniscient = {
         "bridge_mpc", "bridge_mppi", "bridge_ompl", "bridge_robust_ppo", "bridge_state_ppo", "bridge_moving_state_ppo",
-        "barn_moving_state_ppo", "bridge_moving_imagined", "bridge_orca", "mppi",
+        "barn_moving_state_ppo", "barn_route_ppo", "bridge_moving_imagined", "bridge_orca", "mppi",
     }  # fmt: skip
     assert {name for name, sees in declared.items() if sees == "state"} == omniscient
     knowing = {"reach_ik", "reach_mpc", "reach_mppi", "reach_ompl", "obstacles_imagined", "obstacles_plan_bc"}

@@ -9,7 +9,7 @@ from armctl.study import compare
 from ..stores import timeless
 
 LINES_UP = {
-    "armctl/ArmLift-v0": ("lift_grasp", "lift_bc", "random"),
+    "armctl/ArmLift-v0": ("lift_grasp", "lift_cloned_ppo", "random"),
     "armctl/ArmPose-v0": ("reach_ik", "reach_mpc", "reach_ruckig", "reach_rate", "pose_dagger", "random"),
     "armctl/ArmPush-v0": ("push_line", "push_bc", "random"),
     "armctl/ArmReach-v0": ("reach_ik", "reach_mpc", "reach_ppo", "reach_sac", "reach_bc", "reach_dagger", "random"),

@@ -71,7 +71,7 @@ class RayCamera:
             rays.cast_all(worlds[part], shapes, geoms, cameras, depths[part], hits[part])
 
         parts = min(self._simulation.threads, max(1, len(worlds) // MIN_ENVS_FOR_THREADS))
-        ends = np.linspace(0, len(worlds), parts + 1).astype(int).tolist()
+        ends = [len(worlds) * part // parts for part in range(parts + 1)]
         spans = [slice(*span) for span in itertools.pairwise(ends)]
         if parts == 1:
             cast(spans[0])

@@ -10,7 +10,7 @@ from armctl.rl.networks.view import view_of
 
 def check_graph(worlds, features, folder):
     """Check that a network's graph acts like the network, and in a world alone bit for bit as among others."""
-    network = torch.nn.Sequential(features, torch.nn.Linear(features.features_dim, 6))
+    network = torch.nn.Sequential(features, torch.nn.Linear(features.features_dim, worlds.single_action_space.shape[0]))
     actor = Actor(network, view_of(worlds, features="model").action_scale, worlds.single_observation_space)
     actor.export(folder / "agent.onnx")
     graph = AgentGraph(folder / "agent.onnx")

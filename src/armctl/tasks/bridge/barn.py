@@ -4,6 +4,7 @@ In armctl, cylinders that stand beside each other are one block, and the goal is
 whose size the rover has.
 """
 
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from armctl.tasks.bridge.fields import CELL, CELLS, HALF_WIDTH, PASSAGE, blocks_
 from armctl.tasks.bridge.layout import ATTEMPTS, Layout
 from armctl.tasks.bridge.options import BridgeOptions
 from armctl.tasks.bridge.world import JERSEY_PROFILE
+from armctl.tasks.learner_view import FeatureSpec, LearnerView
 
 DECK_WIDTH = 2 * HALF_WIDTH + 4 * JERSEY_PROFILE[0][0]
 """m, barriers included."""
@@ -49,6 +51,14 @@ class BarnTask(BridgeTask):
     options_type: ClassVar[type[Any]] = BarnOptions
     instruction = "Drive through the field to the goal line without touching anything."
     default_policies = ("bridge_ompl", "barn_ppo", "random")
+
+    @property
+    def learner_view(self) -> LearnerView:
+        """The bridge's view, with features of the shortest ways if the state is observed."""
+        view = super().learner_view
+        if self.options.view != "state" or view.features is None:
+            return view
+        return replace(view, model_features=FeatureSpec("routes", view.features.options))
 
     def _sample_episode(self, rng: np.random.Generator) -> Layout:
         options = self.options

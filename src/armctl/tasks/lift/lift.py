@@ -65,7 +65,7 @@ class LiftTask(TabletopTask):
         },
     }  # fmt: skip
     instruction = "Grasp the object, and lift it to the target's height."
-    default_policies = ("lift_grasp", "lift_bc", "random")
+    default_policies = ("lift_grasp", "lift_cloned_ppo", "random")
     potentials: ClassVar[Mapping[str, Callable[[Any], Potential]]] = {
         "distance": ReachTask.potentials["distance"],
         "lift": LiftDistance,
