@@ -67,7 +67,7 @@ def begin(arms, ids, margin):
 
 @compiled
 def use_up(motion, slack, moved):
-    """Take from the `slack` of each pair what joints that have `moved` (dof,) rad may have used; is any used up?"""
+    """Reduce the `slack` of each pair after joints have `moved` (dof,) rad. Returns whether a pair has none left."""
     is_used_up = False
     for k in range(len(slack)):
         for i in range(len(moved)):
