@@ -42,10 +42,10 @@ class RouteFeatures(BaseFeaturesExtractor):
     def __init__(self, observation_space: spaces.Box, blocks: int, **scans: float) -> None:
         surroundings = Surroundings(observation_space, blocks=blocks, **scans)
         super().__init__(observation_space, surroundings.features_dim + BEARINGS * len(RADII))
-        self.surroundings, self.goal_x = surroundings, scans["goal_x"]
+        self.surroundings = surroundings
         self._cache: dict[bytes, torch.Tensor] = {}
         self.register_buffer("x", FIRST_X + CELL * torch.arange(CELLS + 2 * FREE))
-        self.register_buffer("ahead", (self.goal_x - self.x)[:, None])
+        self.register_buffer("ahead", (surroundings.goal_x - self.x)[:, None])
         self.register_buffer("is_last", (self.x == self.x[-1])[:, None])
         self.register_buffer("y", CELL * (torch.arange(CELLS - 2) + 0.5) - HALF_WIDTH)
         angles = 2 * math.pi / BEARINGS * torch.arange(BEARINGS)
@@ -56,8 +56,8 @@ class RouteFeatures(BaseFeaturesExtractor):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return features (n, k) of states (n, m)."""
         x, y, cos, sin = observations[:, :4].split(1, dim=1)
-        end = ROVER + BLOCK * ((observations.shape[1] - ROVER) // BLOCK)
-        lengths = self._lengths_of(observations[:, ROVER:end].unflatten(1, (-1, BLOCK)))
+        blocks = observations.split(self.surroundings.parts, dim=1)[ROVER]
+        lengths = self._lengths_of(blocks.unflatten(1, (-1, BLOCK)))
         around = self._at(lengths, x + cos * self.places[:, 0] - sin * self.places[:, 1],
                           y + sin * self.places[:, 0] + cos * self.places[:, 1])  # fmt: skip
         shortest = around.amin(dim=1, keepdim=True)
