@@ -10,6 +10,7 @@ import pytest
 
 import armctl
 from armctl.core.files import digest
+from armctl.runtime import provenance
 from armctl.runtime.provenance import MAX_BACKGROUND_LOAD, Run, RunMeter, earlier_looks, processor_model
 from armctl.study import compare
 from armctl.study.results import read_comparison
@@ -28,7 +29,7 @@ def test_every_row_carries_the_run_that_made_it_and_a_resumed_comparison_has_bot
     play(tmp_path)
     play(tmp_path, episodes=5, worlds=3)
     first, second = read_comparison(tmp_path).runs
-    assert pd.read_csv(tmp_path / "episodes.csv", dtype=str).run.tolist() == 2 * [first.id] + 3 * [second.id]
+    assert pd.read_csv(tmp_path / "episodes.csv").run.tolist() == 2 * [first.id] + 3 * [second.id]
     assert ((first.worlds, first.workers), (second.worlds, second.workers)) == ((1, 1), (3, 1))
     assert (first.load_start, first.load_most, first.load_end) == (0, 0, 0)
     assert first.versions["mujoco"]
@@ -43,8 +44,15 @@ def test_an_id_is_the_content_of_its_record():
         name: known.pop(name)
         for name in ("id", "load_most", "load_end", "load_own", "judged", "baseline", "margin", "overwritten")
     }
-    assert later["id"] == digest([{"env": "a"}, known])
-    assert digest([{"env": "b"}, known]) != run.id
+    assert later["id"] == f"run-{digest([{'env': 'a'}, known])}"
+    assert RunMeter({"env": "b"}, 1, 1).run.id != run.id
+
+
+@pytest.mark.parametrize("checksum", ["1234567890123456", "12345678901234e5"])
+def test_an_id_is_no_number_to_a_reader_of_the_table(checksum, tmp_path, monkeypatch):
+    monkeypatch.setattr(provenance, "digest", lambda values: checksum)
+    comparison = play(tmp_path)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "episodes.csv"), comparison.episodes)
 
 
 def test_threads_are_told(monkeypatch):

@@ -26,7 +26,8 @@ class Run:
     """Call of `compare`: when, with what and where its episodes were played. Loads are one-minute averages."""
 
     id: str
-    """Digest of the comparison's identity and of all that is known at the start."""
+    """Digest of the comparison's identity and of all that is known at the start, after a word: digits alone, or with
+    an `e` among them, are a number for whoever reads a CSV file."""
     date: str
     """UTC."""
     versions: dict[str, str]
@@ -72,7 +73,7 @@ class RunMeter:
             "workers": workers,
             "load_start": load_average(),
         }
-        self.run = Run(digest([identity, facts]), **facts)
+        self.run = Run(f"run-{digest([identity, facts])}", **facts)
         self._highest_load = self.run.load_start
         self._wall, self._processor = time.perf_counter(), time.process_time()
 
