@@ -52,7 +52,7 @@ class ReachMppiOptions:
 
 STATIC = ReachMppiOptions()
 MOVING = ReachMppiOptions(
-    sampling=SamplingOptions(samples=256, horizon=8, knots=3, noise=0.1, finest=0.03, temperature=0.2, iterations=2),
+    sampling=SamplingOptions(samples=32, horizon=8, knots=3, noise=0.1, finest=0.03, temperature=0.2, iterations=4),
     costs=ReachCosts(distance=20.0),
 )
 """Less far ahead, since a moving target is predicted by its velocity and acceleration only, and more finely."""
