@@ -48,6 +48,18 @@ def test_a_single_wrong_point_is_no_obstacle_and_points_are_forgotten():
     assert not len(grid.boxes())
 
 
+def test_boxes_do_not_depend_on_when_they_were_asked_for():
+    often, once = (OccupancyGrid((0.0, -2.0), (12.0, 2.0)) for _ in range(2))
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        x, y = rng.uniform((2.5, -1.5), (8.0, 1.2))
+        for grid in (often, once):
+            look(grid, (0.5, 0.0), x, (y, y + 0.3), times=2)
+        often.boxes()
+    assert len(once.boxes()) > 2
+    np.testing.assert_array_equal(often.boxes(), once.boxes())
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.2])
 def test_the_least_box_of_a_turned_box_is_the_box(yaw):
     along, across = np.meshgrid(np.linspace(-0.6, 0.6, 9), np.linspace(-0.2, 0.2, 4))

@@ -14,9 +14,9 @@ from joblib.externals.loky import get_reusable_executor
 
 from armctl.core.errors import ConfigurationError
 from armctl.policies import make_policy
-from armctl.rollout.parallel import _blocks
+from armctl.rollout.parallel import _blocks, play_in_workers
 from armctl.runtime.engines import Local
-from armctl.study import compare
+from armctl.study import cell, compare
 
 from ..stores import timeless, wait_for_episodes
 
@@ -92,6 +92,20 @@ def test_functions_can_be_sent_and_what_cannot_is_told_before_anything_runs(tmp_
     with pytest.raises(ConfigurationError, match="holding_a_lock cannot be sent to worker processes"):
         compare([holding_a_lock], episodes=2, workers=2, out=tmp_path / "results")
     assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.slow
+def test_who_has_taken_longest_begins_first(monkeypatch):
+    orders = []
+
+    def noted(setting, actors, worlds, waiting, *others):
+        orders.append([*waiting])
+        return play_in_workers(setting, actors, worlds, waiting, *others)
+
+    monkeypatch.setattr(cell, "play_in_workers", noted)
+    policies, options = ["random", "reach_ik", "reach_mppi"], {"max_episode_steps": 2}
+    compare(policies, until="decided", episodes=20, workers=2, env_options=options)
+    assert orders[:2] == [policies, ["reach_mppi", "reach_ik", "random"]]
 
 
 def test_no_workers_are_refused():

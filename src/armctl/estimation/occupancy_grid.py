@@ -35,6 +35,8 @@ class OccupancyGrid:
         self._low = np.array(low)
         self._shape = np.ceil((np.array(high) - low) / CELL).astype(int)
         self._log_odds = np.zeros(self._shape)
+        self._boxes: dict[bytes, tuple[float, ...]] = {}
+        """Boxes around the present obstacles, by these obstacles' cells."""
 
     def add(self, origin: Array, directions: Array, ranges: Array, hits: NDArray[np.bool_]) -> None:
         """Enter what is seen from `origin` (2,) m: it is free up to `ranges` (m,), m, and `hits` (m,) are obstacles.
@@ -87,10 +89,15 @@ class OccupancyGrid:
         reach = round(JOIN / CELL)
         first, last = np.maximum(cells.min(axis=0) - reach, 0), cells.max(axis=0) + reach + 1
         part = occupied[first[0] : last[0], first[1] : last[1]]
-        labels, count = ndimage.label(ndimage.binary_dilation(part, np.ones((2 * reach + 1,) * 2, dtype=bool)))
+        labels, count = ndimage.label(ndimage.maximum_filter(part, 2 * reach + 1, mode="constant"))
         of_cell = labels[tuple((cells - first).T)]
-        centres = self._low + (cells + 0.5) * CELL
-        return np.array([smallest_box(centres[of_cell == i + 1]) for i in range(count)])
+        obstacles, known = [cells[of_cell == i + 1] for i in range(count)], self._boxes
+        keys = [obstacle.tobytes() for obstacle in obstacles]
+        self._boxes = {
+            key: known.get(key) or smallest_box(self._low + (obstacle + 0.5) * CELL)
+            for key, obstacle in zip(keys, obstacles, strict=True)
+        }
+        return np.array([*self._boxes.values()])
 
 
 def smallest_box(points: Array) -> tuple[float, float, float, float, float]:

@@ -128,7 +128,7 @@ def play_in_workers(
     real_time: RealTime | None = None,
     finished: Collection[str] = (),
 ) -> Generator[RolloutBatch, None, None]:
-    """Do the same by an engine's workers, block by block.
+    """Do the same by an engine's workers, block by block, in the order of `waiting`.
 
     `actors` are the setting's policies, as made here in `worlds`. Of a policy that has failed, no more blocks are
     begun. Closing the iterator discards unfinished blocks. Raises `WorkersFailed`.
@@ -137,8 +137,8 @@ def play_in_workers(
     failed: set[str] = set()
 
     def blocks() -> Iterator[Any]:
-        for name in setting.policies:
-            for block in _blocks(waiting.get(name, ()), setting.config.num_envs, engine):
+        for name, episodes in waiting.items():
+            for block in _blocks(episodes, setting.config.num_envs, engine):
                 if name not in failed:
                     bounds = {episode: lower_bound_steps[episode] for episode in block if episode in lower_bound_steps}
                     yield name, block, bounds, real_time and real_time.of(name, block)

@@ -127,18 +127,19 @@ class _Line:
     def play(self, kept: EpisodeTable, task: Task, first: int, counts: Sequence[int]) -> Iterator[RolloutBatch | int]:
         """Play the episodes from the `first` on that were not `kept`, in blocks; yield their number after each."""
         finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
-        lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
-        task.lower_bound_steps.update(zip(*lengths, strict=True))
+        bounds = kept.column("lower_bound_steps").tolist()
+        task.lower_bound_steps.update(zip(kept.column("episode").tolist(), bounds, strict=True))
         play_block, playing, start = self._block_player(task.lower_bound_steps), set(finished), 0
-        names = [*self.policies]
+        names, spent = [*self.policies], dict.fromkeys(self.policies, 0.0)
         for end in counts:
+            names.sort(key=spent.__getitem__, reverse=True)  # the longest first, so that workers end together
             numbers = {name: np.arange(first + start, first + min(end, task.enough(self.cell, name))) for name in names}
             waiting = {name: np.setdiff1d(numbers[name], finished.get(name, [])).tolist() for name in names}
             with closing(play_block(waiting, playing)) as batches:
                 for batch in batches:
                     yield batch
-                    if batch.failure and batch.policy in names:
-                        names.remove(batch.policy)
+                    spent[batch.policy] += sum(np.nansum(result.decision_ms) for result in batch.results)
+                    names = [name for name in names if name != batch.policy or not batch.failure]
             start, playing = end, playing | set(names)
             yield end
 
@@ -321,9 +322,8 @@ def _play(
 ) -> None:
     """Write episodes until all are played or it is decided, the workers are lost, or somebody interrupts."""
     in_workers = dict[str, float]()
-    judged = [run.judged for run in writer.runs if run.judged]
     kept = max(0, int(writer.kept.column("episode").max(initial=-1)) + 1 - first)
-    counts = line.plan.block_ends(line.cell, kept, judged, first)
+    counts = line.plan.block_ends(line.cell, kept, [run.judged for run in writer.runs if run.judged], first)
     if kept and line.plan.kind == SUITE:
         decided(kept)  # who represents a kind, and plays on
     try:
