@@ -102,10 +102,15 @@ def test_who_has_taken_longest_begins_first(monkeypatch):
         orders.append([*waiting])
         return play_in_workers(setting, actors, worlds, waiting, *others)
 
+    def late(env):
+        policy = make_policy("random", env)
+        act = policy.act
+        policy.act = lambda observations: time.sleep(0.5) or act(observations)
+        return policy
+
     monkeypatch.setattr(cell, "play_in_workers", noted)
-    policies, options = ["random", "reach_ik", "reach_mppi"], {"max_episode_steps": 2}
-    compare(policies, until="decided", episodes=20, workers=2, env_options=options)
-    assert orders[:2] == [policies, ["reach_mppi", "reach_ik", "random"]]
+    compare(["random", late], until="decided", episodes=20, workers=2, env_options={"max_episode_steps": 2})
+    assert orders[:2] == [["random", "late"], ["late", "random"]]
 
 
 def test_no_workers_are_refused():
