@@ -55,7 +55,8 @@ MOVING = ReachMppiOptions(
     sampling=SamplingOptions(samples=32, horizon=8, knots=3, noise=0.1, finest=0.03, temperature=0.2, iterations=4),
     costs=ReachCosts(distance=20.0),
 )
-"""Less far ahead, since a moving target is predicted by its velocity and acceleration only, and more finely."""
+"""Less far ahead, since a moving target is predicted by its velocity and acceleration only, and more finely,
+with less noise in more iterations."""
 
 
 @made_for("armctl/ArmReach*", controls="arms: position")

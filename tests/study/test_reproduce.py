@@ -108,7 +108,7 @@ def test_what_cannot_be_reproduced_is_refused(agent, tmp_path):
 
 CARDS = sorted(card_path("reach_ppo").parent.glob("*.json"))
 CHEAP = ("reach_", "moving_", "obstacles_", "pose_", "scenes_")
-"""Agents that play an episode in a tenth of a second at most; `reach_td_mpc2` plans for each decision."""
+"""Agents of short episodes and cheap decisions, but for `reach_td_mpc2`, which plans for each."""
 
 
 @pytest.mark.parametrize(

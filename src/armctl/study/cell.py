@@ -127,12 +127,12 @@ class _Line:
     def play(self, kept: EpisodeTable, task: Task, first: int, counts: Sequence[int]) -> Iterator[RolloutBatch | int]:
         """Play the episodes from the `first` on that were not `kept`, in blocks; yield their number after each."""
         finished = {name: episodes.column("episode") for name, episodes in kept.by_policy().items()}
-        bounds = kept.column("lower_bound_steps").tolist()
-        task.lower_bound_steps.update(zip(kept.column("episode").tolist(), bounds, strict=True))
+        lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
+        task.lower_bound_steps.update(zip(*lengths, strict=True))
         play_block, playing, start = self._block_player(task.lower_bound_steps), set(finished), 0
         names, spent = [*self.policies], dict.fromkeys(self.policies, 0.0)
         for end in counts:
-            names.sort(key=spent.__getitem__, reverse=True)  # the longest first, so that workers end together
+            names.sort(key=spent.__getitem__, reverse=True)  # the longest first: workers end together
             numbers = {name: np.arange(first + start, first + min(end, task.enough(self.cell, name))) for name in names}
             waiting = {name: np.setdiff1d(numbers[name], finished.get(name, [])).tolist() for name in names}
             with closing(play_block(waiting, playing)) as batches:
