@@ -8,7 +8,7 @@ import pytest
 
 import armctl
 from armctl.core.errors import EnvironmentFailed
-from armctl.envs import make_worlds
+from armctl.envs import TaskVectorEnv, make_worlds
 from armctl.tasks import REWARD, OneTimeTerm, ReachTask
 
 
@@ -112,3 +112,45 @@ def test_a_term_without_bounds_leaves_the_return_unbounded():
     reward = {**REWARD, "effort": lambda state: np.zeros(len(state.reached))}
     with closing(make_worlds("armctl/ArmReach-v0", 1, {"reward": reward})) as worlds:
         assert worlds.task.return_bounds(100) is None
+
+
+class Ends(ReachTask):
+    """A reach task with other outcomes than those that it declares."""
+
+    made_of = staticmethod(lambda n: np.zeros(n, dtype=int))
+
+    def outcome(self):
+        return type(self).made_of(self.n)
+
+
+class Forgets(ReachTask):
+    """A reach task with other reward terms in its second step."""
+
+    def reward_terms(self):
+        terms = super().reward_terms()
+        return dict(list(terms.items())[:1]) if (self.state.distance != self.state.previous_distance).any() else terms
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "message"),
+    [
+        (lambda n: np.full(n, 7), r"an outcome is none of timeout, reached, .*unstable: \[7, 7, 7\]"),
+        (lambda n: np.full(n, -1), r"an outcome is none of .*: \[-1, -1, -1\]"),
+        (lambda n: np.zeros(n + 1, int), r"its outcomes \(4,\); expected step, goal and \(3,\)"),
+        (lambda n: 0, r"its outcomes \(\); expected step, goal and \(3,\)"),
+    ],
+)
+def test_an_outcome_that_there_is_not_is_refused(monkeypatch, outcomes, message):
+    monkeypatch.setattr(Ends, "made_of", staticmethod(outcomes))
+    env = TaskVectorEnv(3, task=Ends)
+    env.reset(seed=0)
+    with pytest.raises(EnvironmentFailed, match=message):
+        env.step(env.action_space.sample())
+
+
+def test_terms_that_change_their_names_are_refused():
+    env = TaskVectorEnv(3, task=Forgets)
+    env.reset(seed=0)
+    with pytest.raises(EnvironmentFailed, match=r"the task's reward terms are step and .*; expected step, goal and"):
+        for _ in range(2):
+            env.step(env.action_space.sample())

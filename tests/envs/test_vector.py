@@ -253,6 +253,8 @@ def test_same_step_autoreset_gives_the_final_observation():
     np.testing.assert_array_equal(infos["final_obs"][1], last)
     np.testing.assert_array_equal(observations[1], twin.reset()[0])
     assert list(infos["final_info"]["outcome_id"]) == [0] * 3
+    for mask in (infos["_final_obs"], infos["_final_info"], infos["final_info"]["_outcome_id"]):
+        assert mask.all()  # also after the next episodes have begun
 
 
 def test_disabled_autoreset_freezes_finished_worlds_until_they_are_picked():

@@ -18,8 +18,6 @@ from armctl.envs.observations import action_numbers
 from armctl.simulation.planning_model import PlanningModel
 
 Infos = dict[str, Any]
-RUNNING = -1
-"""`outcome_id` while an episode runs: the last of `outcomes`."""
 LARGEST_SEED = 2**62
 
 
@@ -28,7 +26,7 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     `reset(options={"episode": k})` starts at episode k of the seed instead of 0; k is an int, or one int per world.
     `infos` have the same keys after `reset` and `step`, all of numbers: `outcome_id` (n,), an index into `outcomes` or
-    `RUNNING`, `is_success` (n,) with None where that is unknown, and `reward_terms`, (n,) each.
+    -1 while an episode runs, `is_success` (n,) with None where that is unknown, and `reward_terms`, (n,) each.
     """
 
     task: Any

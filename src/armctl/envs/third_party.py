@@ -25,10 +25,11 @@ from armctl.core.foresight import check_declared
 from armctl.disturbances import GENERIC, DisturbanceSpec, disturb, episode_entropy
 from armctl.envs import foreign_values
 from armctl.envs.environment_options import LARGEST_REWARD
-from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import EpisodeVectorEnv, Infos
 from armctl.envs.imagined import Imagined, planning_model
 from armctl.envs.observations import stacked
 from armctl.envs.success import UNSTATED, SuccessReader, SuccessRule
+from armctl.kernels.step_end import RUNNING
 from armctl.simulation.planning_model import PlanningModel
 from armctl.tasks import MotionSample, Observations
 from armctl.tasks.task import TaskFacts

@@ -20,17 +20,19 @@ from armctl.core.options import make_options
 from armctl.core.registration import load_task
 from armctl.disturbances import disturb, episode_entropy
 from armctl.envs.environment_options import LARGEST_REWARD, NAMES, check_at_least_one, split_options
-from armctl.envs.episodes import RUNNING, EpisodeVectorEnv, Infos
+from armctl.envs.episodes import EpisodeVectorEnv, Infos
 from armctl.envs.observations import with_replaced
 from armctl.envs.outcomes import ERROR, UNSTABLE
 from armctl.envs.pickling import MadeAgain
+from armctl.kernels.compiling import Bound, bound
+from armctl.kernels.step_end import RUNNING, Episodes, Rules, end_step
 from armctl.simulation.planning_model import PlanningModel, rescaled
 from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import Observations, RewardTerms, Task
 
 RENDER_MODES = ("rgb_array", "human")
-TIMEOUT = 0
-"""The value of every task's `TIMEOUT` outcome."""
+ENDLESS = np.iinfo(np.int64).max
+"""Control steps."""
 GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
 """Methods that goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
 
@@ -101,7 +103,6 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self.task = make_task(self.num_envs, task_options, threads)
         self.remarks |= dict.fromkeys(self.task.notes)
         self.outcomes = (*(outcome.label for outcome in task_type.outcomes), UNSTABLE, "running")
-        self._successes = np.array([*(outcome.success for outcome in task_type.outcomes), False, False])
         self.disturbances = disturb(self.task, task_type.disturbances, general.disturbances)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
@@ -113,11 +114,9 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             self.single_action_space = gymnasium.spaces.Box(-1, 1, self.task.action_space.shape, dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._paid_terms: dict[str, NDArray[np.bool_]] = {}
         self._viewer: Camera | Window | None = None
         self.observers: list[Observer] = []
-        self._reward_names = tuple(self.task.reward_functions)
-        self._check_weighted_terms()
+        self._set_reward_names(tuple(self.task.reward_functions))
         if getattr(task_options, "goal", False):
             if self.reward_weights:
                 raise ConfigurationError("with goal=True, the reward is the task's own: leave reward_weights out")
@@ -141,51 +140,25 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         if not self._reward_names:  # only the task's own code knows them, and it may have none before a reset
             everywhere = np.arange(self.num_envs, dtype=np.int32)
             self.task.reset(everywhere, [np.random.default_rng(0) for _ in everywhere])
-            self._reward_names = tuple(self.task.reward_terms())
-            self._check_weighted_terms()
+            self._set_reward_names(tuple(self.task.reward_terms()))
         return super().reset(seed=seed, options=options)
 
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
         self._check_seeded()
         commands = self._disturbed_commands(self._physical(self._checked_numbers(actions)))
-        idle = self._finished
-        restart = np.flatnonzero(idle) if np.count_nonzero(idle) else None
-        awake = None if restart is None else np.flatnonzero(~idle).astype(np.int32)
+        awake = ~self._finished
+        restart = np.flatnonzero(self._finished) if np.count_nonzero(awake) < self.num_envs else None
         self.task.command(commands)
-        self.task.advance(awake)
-        self._steps += 1
-        self.clock[:] = self._steps
-        terms, outcome = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int64)
-        if self.task.simulation.any_unstable:
-            unstable = self.task.simulation.unstable
-            terms = {name: np.where(unstable, 0.0, values) for name, values in terms.items()}
-            outcome[unstable] = self.outcomes.index(UNSTABLE)
-        terms = self._mask_paid_terms(terms)
-        if restart is not None:
-            outcome[restart] = TIMEOUT
-        terminated = outcome != TIMEOUT
-        if self.max_episode_steps is None:
-            truncated = np.zeros(self.num_envs, dtype=bool)
-        else:
-            truncated = ~terminated & (self._steps >= self.max_episode_steps)
-        if restart is not None:
-            truncated[restart] = False
-            for values in terms.values():
-                values[restart] = 0.0
-        rewards = self._rewards(terms)
-        finished = terminated | truncated
-        infos = self._infos(np.where(finished, outcome, RUNNING), terms)
+        self.task.advance(None if restart is None else np.flatnonzero(awake).astype(np.int32))
+        rewards, terminated, truncated, infos = self._end_step()
         for observer in self.observers:
-            observer.stepped(~idle)
-        self._finished = finished
+            observer.stepped(awake)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and restart is not None:
             self._begin_next(restart)
             infos |= self._task_info()
-        elif self.autoreset_mode is AutoresetMode.DISABLED and restart is not None:
-            self._finished = finished | idle
         observations = self._observe()
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and finished.any():
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and (finished := terminated | truncated).any():
             infos |= {
                 "final_obs": observations,
                 "_final_obs": finished,
@@ -217,15 +190,33 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             self._viewer.close()
             self._viewer = None
 
-    def _infos(self, outcome: NDArray[np.int64] | None = None, terms: RewardTerms | None = None) -> Infos:
-        if outcome is None:
-            outcome = np.full(self.num_envs, RUNNING)
-        if terms is None:
-            terms = {name: np.zeros(self.num_envs) for name in self._reward_names}
-        rewards = {"reward_terms": terms}
+    def _end_step(self) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """Return rewards, which episodes terminate and are truncated, and infos. Raises `EnvironmentFailed`."""
+        terms, outcomes = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int64)
+        rewards, terminated, truncated, successes = np.empty(self.num_envs), *np.empty((3, self.num_envs), dtype=bool)
+        if tuple(terms) != self._reward_names or outcomes.shape != rewards.shape:
+            raise EnvironmentFailed(
+                f"the task's reward terms are {', '.join(terms)} and its outcomes {outcomes.shape}; expected "
+                f"{', '.join(self._reward_names)} and {rewards.shape}"
+            )
+        paid = np.array([*terms.values()], dtype=float).reshape(len(terms), self.num_envs)
+        if not end_step(self._bound, paid, outcomes, rewards, terminated, truncated, successes):
+            self._refuse(outcomes, dict(zip(terms, paid, strict=True)))
+        return rewards, terminated, truncated, self._infos(successes, outcomes, paid)
+
+    def _infos(
+        self,
+        successes: NDArray[np.bool_] | None = None,
+        outcomes: NDArray[np.int64] | None = None,
+        terms: Array | None = None,
+    ) -> Infos:
+        if successes is None or outcomes is None or terms is None:
+            successes, outcomes = np.zeros(self.num_envs, dtype=bool), np.full(self.num_envs, RUNNING)
+            terms = np.zeros((len(self._reward_names), self.num_envs))
+        rewards = {"reward_terms": dict(zip(self._reward_names, terms, strict=True))}
         return {
-            "is_success": self._successes[outcome],
-            "outcome_id": outcome,
+            "is_success": successes,
+            "outcome_id": outcomes,
             **(_flat(rewards) if self.flat_infos else rewards),
             **self._task_info(),
         }
@@ -252,8 +243,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _begin(self, ids: NDArray[np.int32]) -> None:
         numbers = zip(self._seeds[ids].tolist(), self._episodes[ids].tolist(), strict=True)
         rngs = [np.random.default_rng(episode_entropy(seed, episode)) for seed, episode in numbers]
-        for mask in self._paid_terms.values():
-            mask[ids] = False
+        self._paid[:, ids] = False
         self.task.reset(ids, rngs)
         for observer in self.observers:
             observer.began(ids)
@@ -261,39 +251,33 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _observe(self, ids: NDArray[np.int32] | None = None) -> Observations:
         return self._disturbed_observations(self.task.observe(ids), slice(None) if ids is None else ids)
 
-    def _mask_paid_terms(self, terms: RewardTerms) -> RewardTerms:
-        """Return the terms without repeated payments of terms that are paid once an episode."""
-        for name in self.task.paid_once & terms.keys():
-            if not np.count_nonzero(terms[name]):
-                continue
-            paid_before = self._paid_terms.setdefault(name, np.zeros(self.num_envs, dtype=bool))
-            terms[name] = np.where(paid_before, 0.0, terms[name])
-            paid_before |= terms[name] != 0
-        return terms
+    def _set_reward_names(self, names: tuple[str, ...]) -> None:
+        for name in self.reward_weights if names else ():
+            if name not in names:
+                raise unknown_name("reward term", name, names)
+        outcomes = type(self.task).outcomes
+        rules = Rules(
+            np.array([name in self.task.paid_once for name in names], dtype=bool),
+            np.array([self.reward_weights.get(name, 1.0) for name in names], dtype=float),
+            float(self.reward_scale),
+            LARGEST_REWARD,
+            ENDLESS if self.max_episode_steps is None else self.max_episode_steps,
+            self.outcomes.index(UNSTABLE),
+            np.array([*(outcome.success for outcome in outcomes), False], dtype=bool),
+        )
+        self._reward_names, self._paid = names, np.zeros((len(names), self.num_envs), dtype=bool)
+        unstable: NDArray[np.bool_] = self.task.simulation.unstable
+        self._bound: Bound = bound((Episodes(self._steps, self.clock, self._finished, unstable, self._paid), rules))
 
-    def _check_weighted_terms(self) -> None:
-        for name in self.reward_weights if self._reward_names else ():
-            if name not in self._reward_names:
-                raise unknown_name("reward term", name, self._reward_names)
-
-    def _rewards(self, terms: RewardTerms) -> Array:
-        """Return the weighted sums of the terms. Raises `EnvironmentFailed` if one is too large or not a number."""
-        rewards = np.array([*terms.values()])
-        if np.count_nonzero(np.abs(rewards) <= LARGEST_REWARD) < rewards.size:
-            self._refuse(terms)
-        total = np.zeros(self.num_envs)
-        for name, values in terms.items():  # one after the other: NumPy's sum would depend on the number of worlds
-            total += self.reward_weights[name] * values if name in self.reward_weights else values
-        total *= self.reward_scale
-        return total
-
-    def _refuse(self, terms: RewardTerms) -> None:
+    def _refuse(self, outcomes: NDArray[np.int64], terms: RewardTerms) -> None:
+        """Raise `EnvironmentFailed` for a term that is too large or not a number, or an outcome that there is not."""
         for name, rewards in terms.items():
             if not (fine := np.abs(rewards) <= LARGEST_REWARD).all():
                 i = int(np.flatnonzero(~fine)[0])
                 raise EnvironmentFailed(
                     f"the reward term {name!r} is {rewards[i]} in step {self._steps[i]} of episode {self._episodes[i]}"
                 )
+        raise EnvironmentFailed(f"an outcome is none of {', '.join(self.outcomes[:-1])}: {outcomes.tolist()}")
 
 
 def _flat(infos: Infos, prefix: str = "") -> Infos:

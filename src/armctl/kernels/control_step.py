@@ -114,6 +114,8 @@ class TargetQuery(NamedTuple):
     """m. A world stands still from the tick on after which the body is so near; negative: it goes on."""
     distances: Array
     """(ticks, n) m."""
+    nearest: Array
+    """(n,) m, the smallest of these."""
     positions: Array
     """(ticks, n, 3) m, of the body."""
     rotations: Array = np.zeros((0, 9))
@@ -277,6 +279,7 @@ def sample(buffers, samples, target_query, world, tick_number):
         angle = angle_between(buffers.rotations[target_query.body], target_query.rotations[world])
         distance = max(distance, target_query.lever * angle)
     target_query.distances[tick_number, world] = distance
+    target_query.nearest[world] = distance if tick_number == 0 else min(distance, target_query.nearest[world])
     return distance <= target_query.tolerance
 
 

@@ -79,7 +79,10 @@ class Arm:
         self._velocity_commands = self._ctrl[:, :dof]
         self._command = simulation.array("act")
         limits = description.limits
-        driven = limits.drives[:0] if control == "torque" else limits.drives
+        torques = control == "torque"
+        self.drive_commands = self._command, self._velocity_commands[:, : 0 if torques else dof]
+        """(n, dof) positions (rad) and velocities (rad/s) that the drives command now, live; (n, 0) for torques."""
+        driven = limits.drives[:0] if torques else limits.drives
         to_positions = control in ("position", "relative")
         self.drives = Drives(driven, np.zeros((simulation.n, dof)), to_positions, FOLLOWING_ERROR, self._columns)
         actuators = ActuatorLimits(limits.velocity, limits.effort, (limits.lower, limits.upper))
@@ -108,9 +111,7 @@ class Arm:
     @property
     def commands(self) -> Array:
         """Positions (rad) and velocities (rad/s) that the drives command now, (n, 2 dof); (n, 0) for torques."""
-        if self.control == "torque":
-            return self._command
-        return np.concatenate((self._command, self._velocity_commands), axis=1)
+        return np.concatenate(self.drive_commands, axis=1)
 
     @property
     def rollout_worlds(self) -> Connect:

@@ -51,7 +51,7 @@ _KINEMATIC = {
 NO_PARTS = Parts(
     Drives(np.zeros(0, dtype=DRIVE), np.zeros((0, 0)), False, 0.0, _NONE),
     Samples(_NONE, np.zeros((0, 0, 0)), np.zeros((0, 0, 0))),
-    TargetQuery(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)), np.zeros((0, 0, 3))),
+    TargetQuery(0, np.zeros((0, 0, 3)), -1.0, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0, 3))),
     ContactOutput(_NONE.reshape(0, 0), _NONE.reshape(0, 0), np.zeros((0, 0), dtype=bool)),
     PoseInput(_NONE, np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 3))),
 )

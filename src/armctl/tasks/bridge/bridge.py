@@ -253,7 +253,7 @@ class BridgeTask(Task):
     def reward_terms(self) -> RewardTerms:
         """Return the terms of `BridgeOptions.reward`."""
         self._update_state()
-        return {name: np.array(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
+        return {name: np.asarray(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
 
     def outcome(self) -> NDArray[np.int8]:
         """Return `CROSSED`, `COLLIDED` or `FELL`; `TIMEOUT` while the episode goes on."""

@@ -159,7 +159,7 @@ class ReachMovingTask(ReachTask):
         self._phases[world] = rng.uniform(-np.pi, np.pi, (3, WAVES))
         self._amplitudes[world] = self.options.amplitude * rng.uniform(0.5, 1.0, (3, WAVES)) / np.arange(1, WAVES + 1)
         self._centres[world] = self._centre_of_reach(world, rng)
-        self._move_targets()
+        self._move_targets(self._time[None])
 
     def _centre_of_reach(self, world: int, rng: np.random.Generator) -> Array:
         for _ in range(ATTEMPTS):
@@ -180,15 +180,19 @@ class ReachMovingTask(ReachTask):
         )
 
     def _place_targets(self, ids: Ids | None) -> None:
-        for targets in self._target_query.targets:
+        times = np.empty((TICKS, self.n))
+        for moment in times:
             self._time[slice(None) if ids is None else ids] += TICK
-            self._move_targets()
-            np.copyto(targets, self._targets)
+            np.copyto(moment, self._time)
+        np.copyto(self._target_query.targets, self._move_targets(times))
 
-    def _move_targets(self) -> None:
-        angles = self._rates * self._time[:, None, None] + self._phases
-        self._targets[:] = self._centres + (self._amplitudes * np.sin(angles)).sum(axis=-1)
-        self._target_velocities[:] = (self._amplitudes * self._rates * np.cos(angles)).sum(axis=-1)
+    def _move_targets(self, times: Array) -> Array:
+        """Return where targets are at `times` (k, n) s, (k, n, 3) m. They move to the last of these places."""
+        angles = self._rates * times[..., None, None] + self._phases
+        positions: Array = self._centres + (self._amplitudes * np.sin(angles)).sum(axis=-1)
+        self._targets[:] = positions[-1]
+        self._target_velocities[:] = (self._amplitudes * self._rates * np.cos(angles[-1])).sum(axis=-1)
+        return positions
 
     def _update_state(self, action: Array) -> None:
         super()._update_state(action)

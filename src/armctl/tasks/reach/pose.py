@@ -137,7 +137,7 @@ class ReachPoseTask(ReachTask):
         super().reset(ids, rngs)
         self._place_targets(ids)
         self._update_state(self._action)
-        self._nearest[ids] = np.maximum(self.state.distance, self.lever * self.state.angle)[ids]
+        self._target_query.nearest[ids] = np.maximum(self.state.distance, self.lever * self.state.angle)[ids]
         self._update_state(self._action)
 
     def min_time(self, world: int) -> float:

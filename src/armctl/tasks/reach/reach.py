@@ -106,12 +106,13 @@ class ReachTask(Task):
         self._target_velocities = np.zeros((n, 3))
         self._feasible = np.ones(n, dtype=bool)
         self._action = np.zeros((n, description.dof))
-        self._distance, self._nearest = np.zeros(n), np.full(n, np.inf)
+        self._distance = np.zeros(n)
         tip = model.body(PREFIX + description.tip).id
         stop_within = options.tolerance if self.stops_at_target else -1.0
         self._target_query = TargetQuery(
-            tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf), np.zeros((TICKS, n, 3))
-        )
+            tip, np.zeros((1, n, 3)), stop_within, np.full((TICKS, n), np.inf), np.full(n, np.inf),
+            np.zeros((TICKS, n, 3)),
+        )  # fmt: skip
         self._contacts_part = NO_PARTS.contacts
         self._bind_arrays()
         self.simulation.reset()
@@ -187,7 +188,7 @@ class ReachTask(Task):
         self.simulation.reset(ids)
         self._sample_episodes(ids, rngs)
         self.simulation.refresh(ids)
-        self._action[ids], self._nearest[ids] = 0.0, self._distances()[ids]
+        self._action[ids], self._target_query.nearest[ids] = 0.0, self._distances()[ids]
         self._update_state(self._action)
         self._distance[ids] = self.state.distance[ids]
 
@@ -201,7 +202,6 @@ class ReachTask(Task):
         """Simulate until the next control step, in worlds `ids` or in all."""
         self._place_targets(ids)
         self.simulation.control_step(TICKS, self.substeps // TICKS, ids, self._parts)
-        self._nearest = np.minimum.reduce(self._target_query.distances)
 
     def observation_parts(self) -> dict[str, NDArray[np.floating[Any]]]:
         """Return the parts of `ReachOptions.parts`, (n, k) each."""
@@ -220,7 +220,7 @@ class ReachTask(Task):
     def reward_terms(self) -> RewardTerms:
         """Return the terms of `ReachOptions.reward`."""
         self._update_state(self._action)
-        return {name: np.array(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
+        return {name: np.asarray(term(self.state), dtype=float) for name, term in self.reward_functions.items()}
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
         """Return the reward for another goal; goals are (3,) or (n, 3) m. `info` is not used."""
@@ -237,7 +237,7 @@ class ReachTask(Task):
 
     def outcome(self) -> NDArray[np.int8]:
         """Return `REACHED`; `TIMEOUT` while the episode goes on."""
-        return self.state.reached * np.int8(ReachOutcome.REACHED)
+        return self.state.reached.astype(np.int8)
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return `feasible`: whether the arm can reach the target (see `armctl.kinematics.Workspace.reachable`)."""
@@ -332,16 +332,14 @@ class ReachTask(Task):
 
     def _state_values(self, action: Array) -> dict[str, Any]:
         """Return the fields of `state_type`."""
-        joints, turns = self.arm.joint_positions, self._workspace.model.base_yaw_is_vertical
         return {
             "end_effector_position": self.arm.end_effector_positions,
-            "joint_positions": joints, "joint_velocities": self.arm.joint_velocities,
+            "joint_positions": self.arm.joint_positions, "joint_velocities": self.arm.joint_velocities,
             "target_position": self._targets, "target_velocity": self._target_velocities,
             "distance": self._distances(), "previous_distance": self._distance,
-            "reached": self._nearest <= self.options.tolerance,
-            "action": action, "commands": self.arm.commands,
-            "base_yaw": joints[:, 0] if turns else np.zeros(len(joints)),
-            "posture": joints[:, 1:] if turns else joints,
+            "reached": self._target_query.nearest <= self.options.tolerance,
+            "action": action, "drive_commands": self.arm.drive_commands,
+            "base_turns": self._workspace.model.base_yaw_is_vertical,
         }  # fmt: skip
 
     def _distances(self) -> Array:

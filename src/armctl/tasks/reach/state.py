@@ -33,12 +33,25 @@ class ReachState:
     """(n, 3) m/s."""
     action: Array
     """(n, dof) the policy's last action, before clipping."""
-    commands: Array
-    """(n, 2 dof) positions and velocities that the drives are commanded now; (n, 0) if they are given torques."""
-    base_yaw: Array
-    """(n,) angle of the first joint, if its axis is vertical; otherwise 0."""
-    posture: Array
-    """(n, k) joint positions, without the first joint's if its axis is vertical."""
+    drive_commands: tuple[Array, Array]
+    """(n, dof) positions and velocities that the drives are commanded now; (n, 0) if they are given torques."""
+    base_turns: bool
+    """Whether the first joint's axis is vertical."""
+
+    @property
+    def commands(self) -> Array:
+        """(n, 2 dof) `drive_commands` side by side."""
+        return np.concatenate(self.drive_commands, axis=1)
+
+    @property
+    def base_yaw(self) -> Array:
+        """(n,) angle of the first joint, if its axis is vertical; otherwise 0."""
+        return self.joint_positions[:, 0] if self.base_turns else np.zeros(len(self.reached))
+
+    @property
+    def posture(self) -> Array:
+        """(n, k) joint positions, without the first joint's if its axis is vertical."""
+        return self.joint_positions[:, 1:] if self.base_turns else self.joint_positions
 
 
 Term = Callable[[Any], NDArray[np.floating[Any]]]
