@@ -39,12 +39,10 @@ def stop_everything_at(time, monkeypatch):
     )  # fmt: skip
     curve, move = TargetTrajectory.positions, ReachMovingTask._move_targets
 
-    def move_until(self):
-        present = self._time
-        self._time = np.minimum(present, time)
-        move(self)
-        self._time = present
-        self._target_velocities[present > time] = 0.0
+    def move_until(self, times):
+        positions = move(self, np.minimum(times, time))
+        self._target_velocities[times[-1] > time] = 0.0
+        return positions
 
     monkeypatch.setattr(TargetTrajectory, "positions", lambda self, t: curve(self, np.minimum(t, time)))
     monkeypatch.setattr(ReachMovingTask, "_move_targets", move_until)

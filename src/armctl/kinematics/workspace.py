@@ -35,7 +35,7 @@ class Workspace:
         low[2] = min(clearance, high[2])
         for _ in range(0 if self.is_thin else attempts):
             position = rng.uniform(low, high)
-            if self.model.base_distance(position) >= clearance and self.reachable(position):
+            if self.reachable(position) and self.model.base_distance(position) >= clearance:
                 return np.asarray(position)
         configurations = self.model.random_configurations(rng, attempts)
         for position in self.model.positions(configurations[self.model.are_free(configurations)]):
