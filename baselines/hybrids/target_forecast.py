@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from armctl.agents.agent import sha256
 from armctl.agents.costs import TrainingCost, TuningCost
-from armctl.agents.graph import AgentGraph
+from armctl.agents.graph import load_graph
 from armctl.core.arrays import Array
 from armctl.core.errors import AgentFileError
 from armctl.estimation.arm_observer import ArmObserver
@@ -46,7 +46,7 @@ class TargetForecast:
             raise AgentFileError(f"{graph} does not have the checksum on its card: it was changed, or damaged")
         self.cost = TrainingCost(**card["cost"], tuning=TUNING)
         """Cost of the training."""
-        self._graph = AgentGraph(graph)
+        self._graph = load_graph(graph)
 
     def __call__(self, windows: Array) -> Array:
         """Return positions (m from the means) and velocities (m/s) at the knots, (n, 2, 6), for windows (n, 3, 128)."""

@@ -211,11 +211,11 @@ class OnnxPolicy:
     """Also if that shows it the state."""
 
     def __init__(self, graph: Path, card: AgentCard) -> None:
-        from armctl.agents.graph import AgentGraph  # onnx takes longer to import than the rest, and few need it
+        from armctl.agents.graph import load_graph  # onnx takes longer to import than the rest, and few need it
 
         self.card, self.sees, self.family = card, card.sees, card.family
         self.training_steps, self.training_cost = card.training_steps, card.cost
-        self._graph = AgentGraph(graph)
+        self._graph = load_graph(graph)
         observed = (
             card.observation_shape if isinstance(card.observation_shape, dict) else {INPUT: card.observation_shape}
         )

@@ -5,6 +5,7 @@ of all arrays are known beforehand. It runs in this process: what would end the 
 since a trial in another process would show only what happens with the trial's numbers.
 """
 
+import functools
 import math
 import threading
 from collections.abc import Iterator
@@ -67,9 +68,9 @@ TOGETHER = 4
 class AgentGraph:
     """A checked graph, ready to run. Raises `AgentFileError` for a file that is not acceptable."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, content: bytes | None = None) -> None:
         self._path = path
-        model = _read(path)
+        model = _model(path, _content(path) if content is None else content)
         _check_operators(model, path)
         self.numbers = _constants(model, path)
         """Its constants, by name."""
@@ -144,11 +145,26 @@ class AgentGraph:
         return [list(values.shape[1:]) for values in together]
 
 
-def _read(path: Path) -> ModelProto:
+def load_graph(path: Path) -> AgentGraph:
+    """Return the graph in a file, checked once for each content of it. Raises `AgentFileError`."""
+    return _checked(path, _content(path))
+
+
+_checked = functools.lru_cache(maxsize=16)(AgentGraph)
+
+
+def _content(path: Path) -> bytes:
     try:
-        return onnx.load_model_from_string(bounded_bytes(path, LARGEST_FILE))
+        return bounded_bytes(path, LARGEST_FILE)
     except OSError as error:
         raise AgentFileError(f"the agent's graph {path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise _refused(path, str(error)) from error
+
+
+def _model(path: Path, content: bytes) -> ModelProto:
+    try:
+        return onnx.load_model_from_string(content)
     except Exception as error:  # protobuf's, which is no dependency of ours
         raise _refused(path, str(error)) from error
 
