@@ -22,9 +22,9 @@ def reference(episodes, terms, outcomes):
     was_finished, unstable = episodes.finished.copy(), episodes.unstable
     episodes.steps[:] += 1
     episodes.clock[:] = episodes.steps
-    unpaid = ~(RULES.paid_once[:, None] & episodes.paid) & ~was_finished & ~unstable
+    unpaid = ~(RULES.paid_once[:, None] & episodes.paid_terms) & ~was_finished & ~unstable
     terms = np.where(unpaid, terms, 0.0)
-    episodes.paid[:] |= terms != 0
+    episodes.paid_terms[:] |= terms != 0
     outcomes = np.where(was_finished, TIMEOUT, np.where(unstable, UNSTABLE, outcomes))
     terminated = outcomes != TIMEOUT
     truncated = ~was_finished & ~terminated & (episodes.steps >= RULES.max_steps)
@@ -52,7 +52,7 @@ def test_ends_and_rewards_are_those_of_the_reference(seed):
             episodes.unstable[:] = unstable
             episodes.finished[begins] = False
             episodes.steps[begins] = 0
-            episodes.paid[:, begins] = False
+            episodes.paid_terms[:, begins] = False
         expected = reference(plain, terms, outcomes)
         rewards, terminated, truncated, successes = results()
         assert end_step(arguments, terms, outcomes, rewards, terminated, truncated, successes)

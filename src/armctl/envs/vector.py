@@ -199,10 +199,10 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
                 f"the task's reward terms are {', '.join(terms)} and its outcomes {outcomes.shape}; expected "
                 f"{', '.join(self._reward_names)} and {rewards.shape}"
             )
-        paid = np.array([*terms.values()], dtype=float).reshape(len(terms), self.num_envs)
-        if not end_step(self._bound, paid, outcomes, rewards, terminated, truncated, successes):
-            self._refuse(outcomes, dict(zip(terms, paid, strict=True)))
-        return rewards, terminated, truncated, self._infos(successes, outcomes, paid)
+        payments = np.array([*terms.values()], dtype=float).reshape(len(terms), self.num_envs)
+        if not end_step(self._bound, payments, outcomes, rewards, terminated, truncated, successes):
+            self._refuse(outcomes, dict(zip(terms, payments, strict=True)))
+        return rewards, terminated, truncated, self._infos(successes, outcomes, payments)
 
     def _infos(
         self,
@@ -243,7 +243,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def _begin(self, ids: NDArray[np.int32]) -> None:
         numbers = zip(self._seeds[ids].tolist(), self._episodes[ids].tolist(), strict=True)
         rngs = [np.random.default_rng(episode_entropy(seed, episode)) for seed, episode in numbers]
-        self._paid[:, ids] = False
+        self._paid_terms[:, ids] = False
         self.task.reset(ids, rngs)
         for observer in self.observers:
             observer.began(ids)
@@ -265,9 +265,11 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             self.outcomes.index(UNSTABLE),
             np.array([*(outcome.success for outcome in outcomes), False], dtype=bool),
         )
-        self._reward_names, self._paid = names, np.zeros((len(names), self.num_envs), dtype=bool)
+        self._reward_names, self._paid_terms = names, np.zeros((len(names), self.num_envs), dtype=bool)
         unstable: NDArray[np.bool_] = self.task.simulation.unstable
-        self._bound: Bound = bound((Episodes(self._steps, self.clock, self._finished, unstable, self._paid), rules))
+        self._bound: Bound = bound(
+            (Episodes(self._steps, self.clock, self._finished, unstable, self._paid_terms), rules)
+        )
 
     def _refuse(self, outcomes: NDArray[np.int64], terms: RewardTerms) -> None:
         """Raise `EnvironmentFailed` for a term that is too large or not a number, or an outcome that there is not."""

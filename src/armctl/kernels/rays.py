@@ -17,6 +17,8 @@ PLANE, SPHERE, CYLINDER, CAPSULE, BOX, POLYTOPE = range(6)
 NONE = np.inf
 PARALLEL = 1e-15
 """Rays whose direction has so small a part along a face's normal are parallel to the face."""
+TOGETHER = 256
+"""Rays that are computed together, in rows as wide as a shape: more do not fit into a processor's fastest memory."""
 NEAR = 1e-6
 """m: what is nearer to the camera along its axis is not looked for."""
 
@@ -58,8 +60,8 @@ class Cameras(NamedTuple):
     """Distance between two rays, at depth 1."""
 
 
-class Row(NamedTuple):
-    """Rays of a row of pixels, (columns,) each: directions in a shape's frame, and lengths."""
+class Rays(NamedTuple):
+    """Rays of some pixels, (`TOGETHER`,) each: directions in a shape's frame, and lengths."""
 
     x: Array
     y: Array
@@ -162,32 +164,32 @@ def hit_round(kind, size, origin, direction):
 
 
 @compiled
-def hit_polytope(faces, origin, row, count):
-    """Intersect a convex polytope n x <= d, with `faces` (k, 4) of n and d, with `count` rays of a row."""
-    row.enter[:count], row.leave[:count] = -np.inf, np.inf
+def hit_polytope(faces, origin, rays, count):
+    """Intersect a convex polytope n x <= d, with `faces` (k, 4) of n and d, with the first `count` of `rays`."""
+    rays.enter[:count], rays.leave[:count] = -np.inf, np.inf
     for k in range(len(faces)):
         n_x, n_y, n_z, offset = faces[k]
         room = offset - n_x * origin[0] - n_y * origin[1] - n_z * origin[2]
         outside = np.inf if room < 0 else -np.inf
         for i in range(count):
-            along = n_x * row.x[i] + n_y * row.y[i] + n_z * row.z[i]
+            along = n_x * rays.x[i] + n_y * rays.y[i] + n_z * rays.z[i]
             length = room / along
             near = length if along <= -PARALLEL else outside if along < PARALLEL else -np.inf
             far = length if along >= PARALLEL else np.inf
-            row.enter[i], row.leave[i] = max(row.enter[i], near), min(row.leave[i], far)
+            rays.enter[i], rays.leave[i] = max(rays.enter[i], near), min(rays.leave[i], far)
     for i in range(count):
-        row.lengths[i] = first_of(row.enter[i], row.leave[i])
+        rays.lengths[i] = first_of(rays.enter[i], rays.leave[i])
 
 
 @compiled
-def hit_row(kind, size, faces, origin, row, count):
+def hit_all(kind, size, faces, origin, rays, count):
     """Compute the lengths of `count` rays, in a shape's frame, to their first hits; infinite for a miss."""
-    x, y, z, lengths = row.x, row.y, row.z, row.lengths
+    x, y, z, lengths = rays.x, rays.y, rays.z, rays.lengths
     if kind == BOX:
         for i in range(count):
             lengths[i] = hit_box(size, origin, x[i], y[i], z[i])
     elif kind == POLYTOPE:
-        hit_polytope(faces, origin, row, count)
+        hit_polytope(faces, origin, rays, count)
     elif kind == PLANE:
         for i in range(count):
             lengths[i] = hit_plane(size, origin, x[i], y[i], z[i])
@@ -240,6 +242,34 @@ def seen_rectangle(corners, pixel, rows, columns):
 
 
 @compiled
+def aim(turn, cameras, pixels, rays):
+    """Compute the directions, in a shape's frame, of the rays through a rectangle of `pixels`; return their number."""
+    (top, bottom, left, right), count = pixels, 0
+    for j in range(top, bottom):
+        up = cameras.up[j]
+        for i in range(right - left):
+            across = cameras.across[left + i]
+            rays.x[count + i] = turn[0, 0] * across + turn[0, 1] * up - turn[0, 2]
+            rays.y[count + i] = turn[1, 0] * across + turn[1, 1] * up - turn[1, 2]
+            rays.z[count + i] = turn[2, 0] * across + turn[2, 1] * up - turn[2, 2]
+        count += right - left
+    return count
+
+
+@compiled
+def keep_nearer(lengths, geom, pixels, depths, hits):
+    """Write those `lengths` of rays to a geom that are less than the depths in a rectangle of `pixels`."""
+    (top, bottom, left, right), count = pixels, 0
+    for j in range(top, bottom):
+        nearest, nearest_geoms = depths[j, left:right], hits[j, left:right]
+        for i in range(right - left):
+            is_nearer = lengths[count + i] < nearest[i]
+            nearest[i] = lengths[count + i] if is_nearer else nearest[i]
+            nearest_geoms[i] = geom if is_nearer else nearest_geoms[i]
+        count += right - left
+
+
+@compiled
 def cast(shapes, geoms, cameras, world, depths, hits):
     """Compute depths (rows, columns) of one world's nearest hits, and the geoms hit; misses are infinite, and -1."""
     rows, columns = depths.shape
@@ -249,8 +279,8 @@ def cast(shapes, geoms, cameras, world, depths, hits):
     positions, rotations = geoms.positions[world], geoms.rotations[world]
     camera, camera_rotation, faces = cameras.positions[world], cameras.rotations[world], shapes.faces
     turn, origin, corners = np.empty((3, 3)), np.empty(3), np.empty((8, 3))
-    values = np.empty((6, columns))
-    row = Row(values[0], values[1], values[2], values[3], values[4], values[5])
+    values = np.empty((6, max(TOGETHER, columns)))
+    rays = Rays(values[0], values[1], values[2], values[3], values[4], values[5])
     for kind, geom, first, last in shapes.rows:
         for i in range(3):
             origin[i] = 0.0
@@ -264,18 +294,12 @@ def cast(shapes, geoms, cameras, world, depths, hits):
             place_corners(aabbs[geom], turn, origin, corners)
             top, bottom, left, right = seen_rectangle(corners, cameras.pixel, rows, columns)
         size, place = (sizes[geom, 0], sizes[geom, 1], sizes[geom, 2]), (origin[0], origin[1], origin[2])
-        count, across = right - left, cameras.across[left:right]
-        for j in range(top, bottom):
-            up, nearest, nearest_geoms = cameras.up[j], depths[j, left:right], hits[j, left:right]
-            for i in range(count):
-                row.x[i] = turn[0, 0] * across[i] + turn[0, 1] * up - turn[0, 2]
-                row.y[i] = turn[1, 0] * across[i] + turn[1, 1] * up - turn[1, 2]
-                row.z[i] = turn[2, 0] * across[i] + turn[2, 1] * up - turn[2, 2]
-            hit_row(kind, size, faces[first:last], place, row, count)
-            for i in range(count):
-                is_nearer = row.lengths[i] < nearest[i]
-                nearest[i] = row.lengths[i] if is_nearer else nearest[i]
-                nearest_geoms[i] = geom if is_nearer else nearest_geoms[i]
+        height = max(1, TOGETHER // max(1, right - left))
+        for row in range(top, bottom, height):
+            pixels = row, min(bottom, row + height), left, right
+            count = aim(turn, cameras, pixels, rays)
+            hit_all(kind, size, faces[first:last], place, rays, count)
+            keep_nearer(rays.lengths, geom, pixels, depths, hits)
 
 
 @compiled

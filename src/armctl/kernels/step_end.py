@@ -23,7 +23,7 @@ class Episodes(NamedTuple):
     """(n,) whether they have ended: then nothing is paid."""
     unstable: NDArray[np.bool_]
     """(n,) whether their physics has failed: then nothing is paid either, and they end."""
-    paid: NDArray[np.bool_]
+    paid_terms: NDArray[np.bool_]
     """(k, n) whether each reward term has been paid."""
 
 
@@ -42,7 +42,7 @@ class Rules(NamedTuple):
     unstable: int
     """The outcome of unstable worlds."""
     successes: NDArray[np.bool_]
-    """Whether each outcome is a success."""
+    """Success of each outcome."""
 
 
 @compiled
@@ -59,10 +59,10 @@ def end_step(bound, terms, outcomes, rewards, terminated, truncated, successes):
         episodes.clock[i] = episodes.steps[i]
         was_finished, total = episodes.finished[i], 0.0
         for k in range(len(terms)):
-            if was_finished or episodes.unstable[i] or (rules.paid_once[k] and episodes.paid[k, i]):
+            if was_finished or episodes.unstable[i] or (rules.paid_once[k] and episodes.paid_terms[k, i]):
                 terms[k, i] = 0.0
             elif terms[k, i] != 0.0:
-                episodes.paid[k, i] = True
+                episodes.paid_terms[k, i] = True
             valid = valid and abs(terms[k, i]) <= rules.largest
             total += rules.weights[k] * terms[k, i]
         rewards[i] = total * rules.scale

@@ -36,7 +36,7 @@ class ReachState:
     drive_commands: tuple[Array, Array]
     """(n, dof) positions and velocities that the drives are commanded now; (n, 0) if they are given torques."""
     base_turns: bool
-    """Whether the first joint's axis is vertical."""
+    """True if the first joint's axis is vertical."""
 
     @property
     def commands(self) -> Array:
