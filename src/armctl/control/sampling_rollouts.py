@@ -54,7 +54,8 @@ class ArmRollouts:
 
     def surround(self, boxes: Boxes) -> None:
         """Keep clear of these boxes from now on."""
-        pairs, self._motion = self._shapes.with_boxes(boxes)
+        pairs, motion = self._shapes.with_boxes(boxes)
+        self._motion = np.asfortranarray(motion)
         self._scene = Scene(self._shapes.model.joints, self._shapes.model.links, pairs, box_records(boxes))
 
     def __call__(self, state: ArmState, candidates: Array) -> Array:

@@ -69,9 +69,10 @@ def begin(arms, ids, margin):
 def use_up(motion, slack, moved):
     """Reduce the `slack` of each pair after joints have `moved` (dof,) rad. Returns whether a pair has none left."""
     is_used_up = False
-    for k in range(len(slack)):
-        for i in range(len(moved)):
+    for i in range(len(moved)):
+        for k in range(len(slack)):
             slack[k] -= motion[k, i] * moved[i]
+    for k in range(len(slack)):
         is_used_up = is_used_up or slack[k] < 0
     return is_used_up
 
