@@ -68,7 +68,7 @@ class TargetTrajectory:
         return np.asarray(self.centre + (self.amplitudes * np.sin(angles)).sum(axis=-1))
 
 
-@dataclass(frozen=True)
+@dataclass
 class MovingReachState(ReachState):
     """The state, and how well the target is tracked."""
 

@@ -11,7 +11,7 @@ from armctl.core.arrays import Array
 from armctl.tasks.task import EachStep, OneTimeTerm
 
 
-@dataclass(frozen=True)
+@dataclass
 class ReachState:
     """Everything that reward terms and observation parts may use, for n worlds; in rad, rad/s and m."""
 
