@@ -49,7 +49,7 @@ def in_this_process(words, folder, width="200"):
 @pytest.mark.slow
 def test_tables_are_what_a_comparison_prints(monkeypatch):
     renewed = runpy.run_path(str(ROOT / "benchmarks/tables.py"))["renewed"]
-    command = "armctl compare reach_ik random --episodes 3"
+    command = "armctl compare reach_ik random --episodes 3 --policy-seed 0"
     once = renewed(f"Before\n<!-- {command} -->\nold\n<!-- end -->\nAfter\n")
     assert "| reach\\_ik, untrained | 100.0 % " in once
     assert "random: 3 timeout" in once
