@@ -10,7 +10,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from armctl.agents import graph, read_card
-from armctl.agents.graph import OPERATORS, AgentGraph
+from armctl.agents.graph import OPERATORS, load_graph
 from armctl.core.errors import AgentFileError
 
 SHIPPED = sorted(Path(str(resources.files("armctl.rl.agents"))).glob("*.json"))
@@ -56,7 +56,7 @@ def test_a_shipped_agent_acts_alike_in_any_number_of_worlds(card):
     rng = np.random.default_rng(0)
     arrays = {name: rng.uniform(-3, 3, (N, *shape)).astype(np.float32) for name, shape in shapes.items()}
     check_same_outputs(
-        AgentGraph(card.with_suffix(".onnx")), {name: abs(v) if name == "image" else v for name, v in arrays.items()}
+        load_graph(card.with_suffix(".onnx")), {name: abs(v) if name == "image" else v for name, v in arrays.items()}
     )
 
 
@@ -120,13 +120,13 @@ NUMERIC |= {
 @pytest.mark.parametrize("name", NUMERIC)
 def test_an_operator_rounds_alike_in_any_number_of_worlds(name, tmp_path):
     nodes, constants, shape = NUMERIC[name]
-    graph = AgentGraph(saved(model_of(nodes, constants=constants, shape=shape, result=None), tmp_path))
+    graph = load_graph(saved(model_of(nodes, constants=constants, shape=shape, result=None), tmp_path))
     check_same_outputs(graph, {"observation": np.random.default_rng(0).uniform(-3, 3, (N, *shape)).astype(np.float32)})
 
 
 @pytest.mark.parametrize("name", ["Log", "Sqrt"])
 def test_an_operator_of_positive_numbers_rounds_alike(name, tmp_path):
-    graph = AgentGraph(saved(model_of([helper.make_node(name, ["observation"], ["action"])]), tmp_path))
+    graph = load_graph(saved(model_of([helper.make_node(name, ["observation"], ["action"])]), tmp_path))
     check_same_outputs(graph, {"observation": np.random.default_rng(0).uniform(0.1, 9, (N, 6)).astype(np.float32)})
 
 
@@ -283,7 +283,7 @@ def of_another_domain():
 def test_what_is_not_run(make, says, tmp_path):
     started = time.monotonic()
     with pytest.raises(AgentFileError, match=says):
-        AgentGraph(saved(make(), tmp_path))
+        load_graph(saved(make(), tmp_path))
     assert time.monotonic() - started < graph.LONGEST_TRIAL
 
 
@@ -292,7 +292,7 @@ def test_a_file_that_is_too_large(tmp_path):
     with path.open("wb") as file:
         file.truncate(graph.LARGEST_FILE + 1)
     with pytest.raises(AgentFileError, match="bytes, more than"):
-        AgentGraph(path)
+        load_graph(path)
 
 
 @pytest.mark.slow
@@ -304,18 +304,18 @@ def test_a_graph_that_is_too_slow(tmp_path, monkeypatch):
     nodes.append(helper.make_node("Identity", ["x300"], ["action"]))
     weights = {"w": np.eye(size, dtype=np.float32)}
     with pytest.raises(AgentFileError, match="takes more than"):
-        AgentGraph(saved(model_of(nodes, constants=weights, shape=(size,), result=(size,)), tmp_path))
+        load_graph(saved(model_of(nodes, constants=weights, shape=(size,), result=(size,)), tmp_path))
 
 
 @pytest.mark.parametrize(("divisor", "kind"), [(2, np.int32), (2, np.int64), (None, np.float64), (0, np.float32)])
 def test_other_divisions_are_run(divisor, kind, tmp_path):
-    graph = AgentGraph(saved(dividing(divisor, kind), tmp_path))
+    graph = load_graph(saved(dividing(divisor, kind), tmp_path))
     result = graph.run({"observation": np.full((2, 6), 7, np.float32)})[0]
     assert (result == {2: 3.0, None: 1.0, 0: np.inf}[divisor]).all()
 
 
 def test_what_is_acceptable_computes(tmp_path):
-    graph = AgentGraph(saved(model_of([helper.make_node("Sin", ["observation"], ["action"])]), tmp_path))
+    graph = load_graph(saved(model_of([helper.make_node("Sin", ["observation"], ["action"])]), tmp_path))
     given = np.linspace(-9, 9, 12).astype(np.float32).reshape(2, 6)
     np.testing.assert_allclose(graph.run({"observation": given})[0], np.sin(given), atol=1e-6)
 
@@ -332,4 +332,4 @@ def test_slices_of_nothing_are_refused(tmp_path, size, first, ends, step):
     constants = {name: np.array([number]) for name, number in numbers.items()}
     path = saved(model_of(nodes, constants=constants, shape=(size,), result=None), tmp_path)
     with pytest.raises(AgentFileError, match=r"a dimension is empty or unknown|shapes do not fit"):
-        AgentGraph(path)
+        load_graph(path)

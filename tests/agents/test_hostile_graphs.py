@@ -11,7 +11,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from armctl.agents import OnnxPolicy, graph, read_card, sha256
-from armctl.agents.graph import AgentGraph
+from armctl.agents.graph import load_graph
 from armctl.core.errors import AgentFileError
 from armctl.policies.trainings import card_path
 
@@ -60,7 +60,7 @@ BROKEN = {
 @pytest.mark.parametrize("change", BROKEN.values(), ids=BROKEN)
 def test_broken_constants(change, in_a_node, tmp_path):
     with pytest.raises(AgentFileError, match="is not an ONNX graph that armctl runs"):
-        AgentGraph(saved(with_array(change, in_a_node), tmp_path))
+        load_graph(saved(with_array(change, in_a_node), tmp_path))
 
 
 def repeated(name, value, divisor=False):
@@ -75,7 +75,7 @@ def repeated(name, value, divisor=False):
 )
 def test_two_constants_of_one_name(model, tmp_path):
     with pytest.raises(AgentFileError, match="two of its constant arrays have one name"):
-        AgentGraph(saved(model, tmp_path))
+        load_graph(saved(model, tmp_path))
 
 
 def with_input(kind, *sizes):
@@ -113,7 +113,7 @@ INPUTS["of one number of worlds"].graph.input[0].type.tensor_type.shape.dim[0].d
 def test_inputs_that_cannot_be_given(model, tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(AgentFileError, match="is not an ONNX graph that armctl runs"):
-        AgentGraph(saved(model, tmp_path))
+        load_graph(saved(model, tmp_path))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1024 * MEGABYTES_OF_A_REFUSAL
 
 
@@ -124,13 +124,13 @@ def test_many_slices_beside_a_large_array(tmp_path):
     constants = {name: np.array([value]) for name, value in {"first": 0, "end": 6, "axis": 1}.items()}
     path = saved(model_of(nodes, constants=constants | {"w": np.ones(10**7, np.float32)}), tmp_path)
     started = time.process_time()
-    AgentGraph(path)
+    load_graph(path)
     assert time.process_time() - started < 5
 
 
 def test_many_worlds_are_computed_in_parts(tmp_path, monkeypatch):
     monkeypatch.setattr(graph, "MAX_NUMBERS", 100)
-    acting = AgentGraph(saved(model_of([helper.make_node("Sin", ["observation"], ["action"])]), tmp_path))
+    acting = load_graph(saved(model_of([helper.make_node("Sin", ["observation"], ["action"])]), tmp_path))
     session, sizes = acting._session, []
 
     class Session:
@@ -189,7 +189,7 @@ MIXING = {
 def test_a_graph_that_mixes_worlds(model, tmp_path):
     model.graph.output[0].type.tensor_type.ClearField("shape")
     with pytest.raises(AgentFileError, match=r"depend on other worlds|a row for each world|do not fit"):
-        AgentGraph(saved(model, tmp_path))
+        load_graph(saved(model, tmp_path))
 
 
 @pytest.fixture

@@ -66,7 +66,7 @@ def test_the_simulated_arm_follows_what_is_imagined(shapes):
         commands = home + rng.uniform(-0.1, 0.1, home.shape)
         worlds.step(commands.astype(np.float32))
         imagined.move(commands.astype(np.float32))
-        np.testing.assert_allclose(task.arm.commands[:, :6], imagined.positions, atol=1e-6)
+        np.testing.assert_allclose(task.arm.drive_commands[0], imagined.positions, atol=1e-6)
         np.testing.assert_allclose(task.arm.joint_positions, imagined.positions, atol=0.03)
     worlds.close()
 

@@ -68,7 +68,7 @@ def test_a_state_is_made_of_beliefs():
     model, simulation = worlds.model(), worlds.task.simulation
     actions = np.random.default_rng(1).uniform(-1, 1, (SEQUENCES, STEPS, 6))
     worlds.step(actions[:, 0])
-    commands = worlds.task.arm.commands[1]
+    commands = np.hstack(worlds.task.arm.drive_commands)[1]
     q, velocity = fields_of(simulation, "qpos", "qvel")
     ctrl = np.tile(commands[6:], 2)
     believed = model.state(qpos=q[1], qvel=velocity[1], act=commands[:6], ctrl=ctrl)

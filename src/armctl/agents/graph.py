@@ -40,6 +40,8 @@ LONGEST_TRIAL = 10.0
 """s, of the first control steps."""
 TRIED_WORLDS = 5
 """More than onnxruntime computes together, so that their outputs come from a batch of another size than one world's."""
+MAX_KEPT = 16
+"""Graphs that a process keeps, those that it has used last."""
 ROUNDING = 1e-3
 """Limit on relative differences between outputs that count as alike, whatever the processor."""
 
@@ -68,9 +70,9 @@ TOGETHER = 4
 class AgentGraph:
     """A checked graph, ready to run. Raises `AgentFileError` for a file that is not acceptable."""
 
-    def __init__(self, path: Path, content: bytes | None = None) -> None:
+    def __init__(self, path: Path, content: bytes) -> None:
         self._path = path
-        model = _model(path, _content(path) if content is None else content)
+        model = _model(path, content)
         _check_operators(model, path)
         self.numbers = _constants(model, path)
         """Its constants, by name."""
@@ -150,7 +152,7 @@ def load_graph(path: Path) -> AgentGraph:
     return _checked(path, _content(path))
 
 
-_checked = functools.lru_cache(maxsize=16)(AgentGraph)
+_checked = functools.lru_cache(maxsize=MAX_KEPT)(AgentGraph)
 
 
 def _content(path: Path) -> bytes:

@@ -54,8 +54,7 @@ class ArmRollouts:
 
     def surround(self, boxes: Boxes) -> None:
         """Keep clear of these boxes from now on."""
-        pairs, motion = self._shapes.with_boxes(boxes)
-        self._motion = np.asfortranarray(motion)
+        pairs, self._motion = self._shapes.with_boxes(boxes)
         self._scene = Scene(self._shapes.model.joints, self._shapes.model.links, pairs, box_records(boxes))
 
     def __call__(self, state: ArmState, candidates: Array) -> Array:

@@ -31,8 +31,8 @@ from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import Observations, RewardTerms, Task
 
 RENDER_MODES = ("rgb_array", "human")
-ENDLESS = np.iinfo(np.int64).max
-"""Control steps."""
+UNLIMITED = np.iinfo(np.int64).max
+"""Control steps of an episode without a limit."""
 GOAL_METHODS = ("compute_reward", "compute_terminated", "compute_truncated")
 """Methods that goal-conditioned learners ask for: functions of achieved goals, desired goals and infos."""
 
@@ -202,17 +202,13 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         payments = np.array([*terms.values()], dtype=float).reshape(len(terms), self.num_envs)
         if not end_step(self._bound, payments, outcomes, rewards, terminated, truncated, successes):
             self._refuse(outcomes, dict(zip(terms, payments, strict=True)))
-        return rewards, terminated, truncated, self._infos(successes, outcomes, payments)
+        return rewards, terminated, truncated, self._step_infos(successes, outcomes, payments)
 
-    def _infos(
-        self,
-        successes: NDArray[np.bool_] | None = None,
-        outcomes: NDArray[np.int64] | None = None,
-        terms: Array | None = None,
-    ) -> Infos:
-        if successes is None or outcomes is None or terms is None:
-            successes, outcomes = np.zeros(self.num_envs, dtype=bool), np.full(self.num_envs, RUNNING)
-            terms = np.zeros((len(self._reward_names), self.num_envs))
+    def _infos(self) -> Infos:
+        terms = np.zeros((len(self._reward_names), self.num_envs))
+        return self._step_infos(np.zeros(self.num_envs, dtype=bool), np.full(self.num_envs, RUNNING), terms)
+
+    def _step_infos(self, successes: NDArray[np.bool_], outcomes: NDArray[np.int64], terms: Array) -> Infos:
         rewards = {"reward_terms": dict(zip(self._reward_names, terms, strict=True))}
         return {
             "is_success": successes,
@@ -261,7 +257,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             np.array([self.reward_weights.get(name, 1.0) for name in names], dtype=float),
             float(self.reward_scale),
             LARGEST_REWARD,
-            ENDLESS if self.max_episode_steps is None else self.max_episode_steps,
+            UNLIMITED if self.max_episode_steps is None else self.max_episode_steps,
             self.outcomes.index(UNSTABLE),
             np.array([*(outcome.success for outcome in outcomes), False], dtype=bool),
         )

@@ -18,7 +18,7 @@ NONE = np.inf
 PARALLEL = 1e-15
 """Rays whose direction has so small a part along a face's normal are parallel to the face."""
 TOGETHER = 256
-"""Rays that are computed together, in rows as wide as a shape: more do not fit into a processor's fastest memory."""
+"""Rays that are computed together, in a rectangle as wide as what is seen of a shape."""
 NEAR = 1e-6
 """m: what is nearer to the camera along its axis is not looked for."""
 

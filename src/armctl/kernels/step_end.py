@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.kernels.compiling import compiled
 
-RUNNING = -1
-TIMEOUT = 0
+RUNNING, TIMEOUT = -1, 0
+"""Outcomes of episodes that go on, and of those that reach their time limit."""
 
 
 class Episodes(NamedTuple):

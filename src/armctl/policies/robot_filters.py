@@ -124,7 +124,7 @@ class ArmFilters:
     def states(self) -> Array:
         """Return the states (n, 4 dof) of the arms."""
         arm = self._task.arm
-        return np.hstack((arm.commands, arm.joint_positions, arm.joint_velocities))
+        return np.hstack((*arm.drive_commands, arm.joint_positions, arm.joint_velocities))
 
     def fast_law(self, states: Array, actions: Array) -> Array:
         """Return the states (..., 4 dof) a period after others, in which joints keep their velocities."""

@@ -109,11 +109,6 @@ class Arm:
         return self._velocities if self._is_alone else self._velocities[:, self._columns]
 
     @property
-    def commands(self) -> Array:
-        """Positions (rad) and velocities (rad/s) that the drives command now, (n, 2 dof); (n, 0) for torques."""
-        return np.concatenate(self.drive_commands, axis=1)
-
-    @property
     def rollout_worlds(self) -> Connect:
         """Maker of worlds in which such arms are driven alike, by themselves: they do not stop at targets."""
         return functools.partial(_driven, description=self.description, control=self.control, period=self.period)

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from armctl.agents.graph import AgentGraph
+from armctl.agents.graph import load_graph
 from armctl.rl.networks.actor import Actor
 from armctl.rl.networks.view import view_of
 
@@ -13,7 +13,7 @@ def check_graph(worlds, features, folder):
     network = torch.nn.Sequential(features, torch.nn.Linear(features.features_dim, worlds.single_action_space.shape[0]))
     actor = Actor(network, view_of(worlds, features="model").action_scale, worlds.single_observation_space)
     actor.export(folder / "agent.onnx")
-    graph = AgentGraph(folder / "agent.onnx")
+    graph = load_graph(folder / "agent.onnx")
     observations, _ = worlds.reset(seed=3)
     together = graph.run({"observation": observations})[0]
     np.testing.assert_allclose(together, actor.act(observations), atol=1e-5)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from armctl.agents import INPUT
-from armctl.agents.graph import AgentGraph
+from armctl.agents.graph import load_graph
 from armctl.core.errors import ConfigurationError
 from armctl.envs import make_worlds
 from armctl.kinematics import ArmModel
@@ -142,7 +142,7 @@ def test_replayed_steps_have_the_actions_that_were_chosen(changes, tmp_path):
 @pytest.mark.slow
 def test_the_exported_graph_acts_as_the_network_over_an_episode(student, tmp_path):
     student.actor.export(tmp_path / "agent.onnx")
-    graph = AgentGraph(tmp_path / "agent.onnx")
+    graph = load_graph(tmp_path / "agent.onnx")
     worlds: Any = make_worlds(MOVING, 3, {"disturbances": {"noise": 0.02}})
     names, memory = list(student.actor.memory), [m.numpy() for m in initial_memory(student.actor.memory, 3)]
     observations, _ = worlds.reset(seed=1)

@@ -40,7 +40,7 @@ class BridgeState:
 Term = Callable[[BridgeState], NDArray[np.floating[Any]]]
 
 REWARD: dict[str, Term] = {
-    "time": EachStep(lambda state: -0.1 + np.zeros(len(state.crossed)), (-0.1, -0.1)),
+    "time": EachStep(lambda state: np.full(len(state.crossed), -0.1), (-0.1, -0.1)),
     "goal": OneTimeTerm(lambda state: np.where(state.crossed, 100.0, 0.0), (0.0, 100.0)),
     "collision": OneTimeTerm(lambda state: np.where(state.collided, -100.0, 0.0), (-100.0, 0.0)),
     "fall": OneTimeTerm(lambda state: np.where(state.fell, -100.0, 0.0), (-100.0, 0.0)),

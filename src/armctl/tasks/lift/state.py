@@ -16,7 +16,7 @@ OPENING_SCALE = 10.0
 """1/m: scales the hand's opening to the order of one."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class LiftState(TabletopState):
     """The state of arm, hand and object. `distance` is that of the object's centre from the target's height."""
 

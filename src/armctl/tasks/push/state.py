@@ -9,7 +9,7 @@ from armctl.tasks.reach.state import Term
 from armctl.tasks.tabletop.state import OBJECT_FEATURES, OBJECT_OBSERVATION, TabletopState, ahead
 
 
-@dataclass
+@dataclass(frozen=True)
 class PushState(TabletopState):
     """The state of arm and object. `distance` is that of the object's centre from the target, in the table's plane."""
 

@@ -68,7 +68,7 @@ class TargetTrajectory:
         return np.asarray(self.centre + (self.amplitudes * np.sin(angles)).sum(axis=-1))
 
 
-@dataclass
+@dataclass(frozen=True)
 class MovingReachState(ReachState):
     """The state, and how well the target is tracked."""
 

@@ -101,7 +101,7 @@ OBSTACLES_REWARD: Mapping[str, Term] = {
 """The terms of the reward, whose sum is the reward."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class ObstaclesReachState(ReachState):
     """The state, and obstacles and contacts."""
 

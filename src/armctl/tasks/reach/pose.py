@@ -31,7 +31,7 @@ AXIS_LENGTH, AXIS_RADIUS = 0.12, 0.006
 """m, of the axes that are drawn at target and end-effector: x red, y green, z blue."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class PoseReachState(ReachState):
     """The state, and orientations: the first two axes of a frame, in the base (Zhou et al., CVPR 2019).
 

@@ -236,7 +236,7 @@ class ReachTask(Task):
         return np.zeros(np.shape(desired_goal)[:-1], dtype=bool)[()]
 
     def outcome(self) -> NDArray[np.int8]:
-        """Return `REACHED`; `TIMEOUT` while the episode goes on."""
+        """Return `REACHED`, which is 1; `TIMEOUT` while the episode goes on."""
         return self.state.reached.astype(np.int8)
 
     def info(self) -> dict[str, NDArray[Any]]:

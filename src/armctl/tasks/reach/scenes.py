@@ -51,7 +51,7 @@ SCENES_OBSERVATIONS: Mapping[str, Mapping[str, Term]] = {
 """The parts of each named observation, in order."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class ScenesReachState(PoseReachState, ObstaclesReachState):
     """The state, orientations, obstacles and contacts."""
 

@@ -11,7 +11,7 @@ from armctl.core.arrays import Array
 from armctl.tasks.task import EachStep, OneTimeTerm
 
 
-@dataclass
+@dataclass(frozen=True)
 class ReachState:
     """Everything that reward terms and observation parts may use, for n worlds; in rad, rad/s and m."""
 
@@ -61,7 +61,7 @@ STEP_REWARD, GOAL_REWARD = -1.0, 100.0
 """Rewards for each control step, and for success."""
 
 REWARD: Mapping[str, Term] = {
-    "step": EachStep(lambda state: STEP_REWARD + np.zeros(len(state.reached)), (STEP_REWARD, STEP_REWARD)),
+    "step": EachStep(lambda state: np.full(len(state.reached), STEP_REWARD), (STEP_REWARD, STEP_REWARD)),
     "goal": OneTimeTerm(lambda state: GOAL_REWARD * state.reached, (0.0, GOAL_REWARD)),
 }
 """The terms of the reward, whose sum is the reward."""

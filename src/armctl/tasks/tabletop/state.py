@@ -15,7 +15,7 @@ FELL_REWARD = 300 * STEP_REWARD
 """Price of an object that falls: that of the 300 control steps of an episode, so that it never pays."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class TabletopState(ReachState):
     """The state of arm and object."""
 
