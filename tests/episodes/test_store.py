@@ -1,6 +1,7 @@
 """The store of a results folder: what is finished is never lost, doubled or mixed."""
 
 import contextlib
+import itertools
 import math
 import random
 import signal
@@ -19,6 +20,7 @@ import armctl
 from armctl.core.errors import ResultsError
 from armctl.episodes import columns
 from armctl.episodes import rows as rows_module
+from armctl.episodes import store as store_module
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import Store
@@ -103,6 +105,51 @@ def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
         stored = read_cell(tmp_path).episodes
         assert {f"{one.policy} {one.episode}\n" for one in stored} >= {line for line in written if line.endswith("\n")}
         same(list(stored), [results[one.policy, one.episode] for one in stored])
+
+
+def test_an_interrupt_at_any_moment_of_a_write_spoils_no_other_episode(tmp_path):
+    """Ctrl-C before the k-th instruction of a write, and then a whole write, for each k. All outcomes are new texts."""
+    whole, interrupted = [], []
+    results = (replace(result, outcome=f"outcome {result.episode}") for result in played(2_000))
+    with one_cell(tmp_path, OWN) as store:
+        for k in itertools.count():
+            interrupted.append(next(results))
+            if not interrupts(k, {store_module.__file__, contextlib.__file__}, store.write, interrupted[-1]):
+                break
+            whole.append(next(results))
+            store.write(whole[-1])
+        store.finish({}, [])
+    stored = {one.episode: one for one in read_cell(tmp_path).episodes}
+    same([stored.pop(one.episode) for one in whole], whole)
+    assert interrupted[-1].episode in stored
+    same([one for one in interrupted if one.episode in stored], [*stored.values()])
+    assert 0 < len(stored) < len(interrupted) / 2
+
+
+def interrupts(count, files, call, *arguments):
+    """Make a call and interrupt it before instruction `count` that it runs in some files; False if there are fewer."""
+    left = count
+
+    def trace(frame, event, _):
+        nonlocal left
+        if frame.f_code.co_filename not in files:
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if left == -1:
+                raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        call(*arguments)
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
 
 
 @pytest.mark.one_case

@@ -62,6 +62,8 @@ class Store:
     def __init__(self, folder: Path | None, overwrite: bool = False) -> None:
         self.folder, self._overwrite = folder, overwrite
         self.texts: dict[str, int] = {}
+        self.num_texts_written = 0
+        """Texts that are surely in the file: there are more after an interrupted write."""
         self.failure: sqlite3.Error | None = None
         """Why episodes cannot be written any more."""
         self._overwritten: list[tuple[dict[str, Any], list[Run]]] = []
@@ -102,6 +104,7 @@ class Store:
                     check_file(file)
                     self._refuse_older(format_of(file))
                     self.texts = {text: i for i, text in enumerate(texts_in(file))}
+                    self.num_texts_written = len(self.texts)
                 stored_seeds = {KEYS.validate_python(unsealed(text)).seed for _, _, text, _ in cells_in(file)}
                 further = [name for _, name, *_ in cells_in(file) if name not in cells]
             changes = [f"seed: {other} there, {seed} here" for other in stored_seeds - {seed}]
@@ -223,18 +226,18 @@ class CellWriter:
 
     def write(self, result: EpisodeResult) -> None:
         """Add an episode. `finish` tells whether that failed; until then it is kept in memory."""
-        texts = self._store.texts
-        num_texts, self._grown = len(texts), True
-        row = row_of(result, texts, self._checksum)
-        if self._store.failure is None:
-            new = [(i, text) for text, i in texts.items() if i >= num_texts] if len(texts) > num_texts else []
+        store, self._grown = self._store, True
+        row = row_of(result, store.texts, self._checksum)
+        if store.failure is None:
+            new = [(i, text) for text, i in itertools.islice(store.texts.items(), store.num_texts_written, None)]
             try:
-                with transaction(self._store.file):
-                    self._store.file.executemany("INSERT INTO text VALUES (?, ?)", new)
-                    self._store.file.execute(_INSERT, (self._number, *row))
+                with transaction(store.file):
+                    store.file.executemany("INSERT OR IGNORE INTO text VALUES (?, ?)", new)
+                    store.file.execute(_INSERT, (self._number, *row))
+                store.num_texts_written = len(store.texts)
                 return
             except sqlite3.Error as error:
-                self._store.failure = error
+                store.failure = error
         self._unwritten.append(row)
 
     def episodes(self) -> EpisodeTable:
@@ -298,7 +301,9 @@ class CellWriter:
 
 @contextlib.contextmanager
 def transaction(file: sqlite3.Connection) -> Iterator[None]:
-    """Write everything or nothing."""
+    """Write everything or nothing. A transaction that an interrupt has left open is undone."""
+    if file.in_transaction:
+        file.execute("ROLLBACK")
     file.execute("BEGIN IMMEDIATE")
     try:
         yield
