@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import betaln
+from scipy.special import betaln, logsumexp
 
 from armctl.stats import sequential
 from armctl.stats.difference import Scores, difference_between
@@ -83,14 +83,21 @@ def test_intervals_only_shrink():
     assert ((np.diff(highs) <= 1e-7) | (highs[1:] == means[1:])).all()
 
 
-def test_chunks_change_nothing(monkeypatch):
-    values = signs(0.1, 0.05, 500)
-    complete = ConfidenceSequence(values, SIGNS)
-    before = complete.estimate(), complete.p()
-    monkeypatch.setattr(sequential, "CHUNK", 7)
-    in_parts = ConfidenceSequence(values, SIGNS)
-    np.testing.assert_allclose(in_parts.estimate().bounds, before[0].bounds, atol=1e-8)
-    assert in_parts.p() == pytest.approx(before[1])
+def logarithm_of_largest_capital(shares, mean):
+    """The same without products, which may have no number."""
+    bets, weights = sequential._bets()
+    capitals = weights + np.cumsum(np.log1p(bets * (shares[:, None] / mean - 1)), axis=0)
+    return logsumexp(capitals, axis=1).max()
+
+
+@pytest.mark.parametrize("mean", [1e-12, 1e-3, 0.3, 0.999, 1 - 1e-12])
+@pytest.mark.parametrize("n", [1, 23, 24, 25, 5_000])
+def test_capitals_beyond_what_a_float_holds(mean, n):
+    """Also of those that are lost at first, and won back."""
+    rng = np.random.default_rng(n)
+    for shares in (np.zeros(n), np.ones(n), rng.random(n), np.sort(rng.integers(0, 2, n) * 1.0)):
+        capital = sequential._Gambler(shares).largest_capital(mean)
+        assert capital == pytest.approx(logarithm_of_largest_capital(shares, mean), rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("discordant", [0.02, 0.1, 0.5])

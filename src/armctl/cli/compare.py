@@ -326,7 +326,7 @@ def play_study(
             console.print(problem, soft_wrap=True)
     exit_if_interrupted(study.interrupted, folder, console)
     if report and written and study.tasks:
-        make_report(folder, None, console, video=video)
+        make_report(folder, None, console, video=video, study=study)
     for comparison in study.cells.values():
         print_tracebacks(comparison.tracebacks)
     if study.problems:

@@ -18,6 +18,7 @@ from armctl.core.errors import ConfigurationError, no_results
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from armctl.study.study import Study
     from armctl.verdict.tables import Document
 
 
@@ -276,8 +277,9 @@ def make_report(
     video: bool | None = None,
     env: str | None = None,
     policies: Sequence[str] = (),
+    study: "Study | None" = None,
 ) -> None:
-    """Write a report, and say where it is."""
+    """Write the report of a folder, or of the `study` that was just played into it, and say where it is."""
     from rich.text import Text
 
     from armctl.core.console import PlainConsole
@@ -290,6 +292,7 @@ def make_report(
             video=video,
             env=env,
             policies=policies,
+            study=study,
             progress=lambda doing: status.update(Text(f"report: {doing}")),
         )
     console.print(f"{path} is the report: open it in a browser.", soft_wrap=True)

@@ -25,6 +25,7 @@ from armctl.study.comparison import Comparison
 from armctl.study.grid_tables import grid_summary
 from armctl.study.names import FROM_UNDISTURBED, SUITE, WORST_CASE, task_name
 from armctl.study.results import read_study
+from armctl.study.study import Study
 from armctl.study.task_results import Sweep
 from armctl.verdict.sentences import Verdict
 from armctl.verdict.summary import PolicySummary
@@ -41,13 +42,15 @@ def write_report(
     env: str | None = None,
     policies: Sequence[str] = (),
     progress: Callable[[str], None] = lambda doing: None,
+    study: Study | None = None,
 ) -> Path:
     """Write the report of a study's folder to `out` (`folder/report.html`); return its path.
 
     With `video`, some episodes are played again; if that is impossible, the report says why. By default, it is so but
     for suites, whose tasks get reports of their own. A folder runs no code:
     what it names as `module:name` is imported only if it is `env` or one of `policies`, or was named in this process
-    before. `progress` is called with what is being done.
+    before. `progress` is called with what is being done. The `study` is what was just played into the folder, which is
+    read if it is None.
 
     Raises `ResultsError` for a folder without results, or with damaged ones, and if the report cannot be written.
     """
@@ -58,7 +61,7 @@ def write_report(
     folder = Path(folder)
     if not os.path.isdir(folder):  # also for a name that no folder can have
         raise no_results(folder)
-    out, study = folder / REPORT if out is None else Path(out), read_study(folder)
+    out, study = folder / REPORT if out is None else Path(out), study or read_study(folder)
     if study.kind == WORST_CASE:
         from armctl.report.worst_case_page import write_worst_case_page  # it loads what searches
 
