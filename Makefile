@@ -7,27 +7,26 @@
 # For some of the tests: make test ARGS="tests/kinematics -k jacobian"
 
 PYTHON ?= python3
-# As the comment below counts on it. Where this is set, each start of armctl compiles all that it imports, and takes twice as long.
+# Where this is set, each start of armctl compiles all that it imports, and takes twice as long.
 unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv
 BIN := $(VENV)/bin
-# Python compiles what is imported, when it is; pip would compile all of 34,000 files, for half of an installation's time.
-INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --no-compile
-PIP := $(INSTALL) --quiet --constraint constraints.txt
-# The one of Python 3.11 reads all installed packages again for each of 300 that it has installed, for 20 s at the end.
-NEW_PIP := pip==26.1.2
-# Installs, and names each package as it is fetched; errors are on standard error, and the status is that of pip.
-NAMED = { $(INSTALL) --progress-bar off --constraint constraints.txt $(1); \
-  echo $$? > $(VENV)/status; } | sed -u -n 's/^Collecting \([^ ]*\).*/  \1/p; s/^Installing collected.*/  unpacking: minutes/p'; \
-  exit $$(cat $(VENV)/status)
+# uv installs in a quarter of pip's time. It reads none of pip's settings; these two name where packages are, such as a mirror.
+ifdef PIP_INDEX_URL
+export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
+endif
+ifdef PIP_FIND_LINKS
+export UV_FIND_LINKS ?= $(PIP_FIND_LINKS)
+endif
+UV := $(BIN)/uv
+INSTALL := VIRTUAL_ENV=$(VENV) $(UV) pip install
+LOCKED := --constraint constraints.txt
 # Three at once on two cores, and four of all tests: they often wait, for the disk and for what they have started.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 3 --dist worksteal
 # Tests of what is measured: a third slower so, hence without those that kill, fill disks and reproduce.
 COVERED := tests/stats tests/verdict tests/report/test_tables.py $(patsubst %,tests/study/test_%.py, \
   compare groups pairs sample_size spared suite sweep sweep_by_return task_verdict until_decided worst_case)
 MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs
-UV := $(BIN)/uv --quiet
-COMMA := ,
 # It asks for Gymnasium 0.29, and so cannot be resolved beside armctl; what examples/ use of it works with newer ones.
 IMITATION := imitation==1.0.1
 # It asks for Python before 3.11, and is run with newer libraries, unchanged, in examples/cleanrl_unmodified.py.
@@ -35,7 +34,7 @@ CLEANRL := cleanrl==1.2.0
 # LeRobot's own reader, with which the tests read what armctl writes. It asks for older versions of much that armctl needs, so it is
 # beside the other packages, not among them.
 LEROBOT := lerobot==0.4.4 torchvision==0.25.0 accelerate==1.15.0 safetensors==0.8.0
-EXPORT := $(UV) export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
+EXPORT := $(UV) --quiet export --frozen --all-extras --no-emit-project --no-hashes --no-annotate
 
 .PHONY: compare test test-all test-uncovered test-thorough coverage mutants check docs docs-serve lock check-lock dist benchmarks clean
 
@@ -60,7 +59,7 @@ coverage: $(VENV)/full
 	$(BIN)/coverage report
 
 mutants: $(VENV)/full
-	@$(PIP) mutmut==3.8.1
+	@$(INSTALL) --quiet $(LOCKED) mutmut==3.8.1
 	OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2 $(ARGS)
 	$(BIN)/mutmut results
 
@@ -76,17 +75,17 @@ docs: $(VENV)/full
 docs-serve: $(VENV)/full
 	$(MKDOCS) serve
 
-lock: $(VENV)/uv
-	$(UV) lock
+lock: $(VENV)/python
+	$(UV) --quiet lock
 	$(EXPORT) > constraints.txt
 
-check-lock: $(VENV)/uv
-	@$(UV) lock --check || { echo "uv.lock is not what pyproject.toml asks for: make lock"; exit 1; }
+check-lock: $(VENV)/python
+	@$(UV) --quiet lock --check || { echo "uv.lock is not what pyproject.toml asks for: make lock"; exit 1; }
 	@$(EXPORT) | diff constraints.txt - || { echo "constraints.txt is not what uv.lock says: make lock"; exit 1; }
 
-dist: $(VENV)/uv
+dist: $(VENV)/python
 	rm -rf dist
-	$(UV) build --python $(BIN)/python
+	$(UV) --quiet build --python $(BIN)/python
 
 benchmarks: $(VENV)/full
 	$(BIN)/python benchmarks/throughput.py
@@ -111,23 +110,19 @@ $(VENV)/python:
 	  { echo "armctl needs Python 3.11 or newer as '$(PYTHON)'; name another one: make PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || \
 	  { rm -rf $(VENV); echo "'$(PYTHON) -m venv' failed; on Debian or Ubuntu: apt-get install python3-venv"; exit 1; }
-	@$(INSTALL) --quiet $(NEW_PIP) || { rm -rf $(VENV); echo "The installation of $(NEW_PIP) failed: see above."; exit 1; }
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check uv==0.13.9 || \
+	  { rm -rf $(VENV); echo "The installation of uv failed: see above."; exit 1; }
 	@touch $@
 
 $(VENV)/core: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl into $(VENV) ..."
-	@($(call NAMED,--editable .)) || { echo "The installation failed: see above; it needs a package index and about 2 GB."; exit 1; }
+	@$(INSTALL) $(LOCKED) --editable . || { echo "The installation failed: see above; it needs a package index and about 2 GB."; exit 1; }
 	@touch $@
 
 $(VENV)/full: pyproject.toml constraints.txt | $(VENV)/python
 	@echo "Installing armctl with all extras into $(VENV) ..."
-	@($(call NAMED,--editable '.[rl$(COMMA)dev]')) || { echo "The installation failed: see above; it needs a package index and up to 9 GB."; exit 1; }
-	@$(PIP) --no-deps $(IMITATION) || { echo "The installation of $(IMITATION) failed: see above."; exit 1; }
-	@$(PIP) --no-deps --ignore-requires-python $(CLEANRL) || { echo "The installation of $(CLEANRL) failed: see above."; exit 1; }
-	@$(INSTALL) --quiet --no-deps --upgrade --target $(VENV)/lerobot $(LEROBOT) || \
-	  { echo "The installation of $(LEROBOT) failed: see above."; exit 1; }
+	@$(INSTALL) $(LOCKED) --editable '.[rl,dev]' || { echo "The installation failed: see above; it needs a package index and up to 9 GB."; exit 1; }
+	@$(INSTALL) --quiet $(LOCKED) --no-deps $(IMITATION)
+	@$(INSTALL) --quiet $(LOCKED) --no-deps --python-version 3.10 $(CLEANRL)
+	@$(INSTALL) --quiet --no-deps --target $(VENV)/lerobot $(LEROBOT)
 	@touch $@ $(VENV)/core
-
-$(VENV)/uv: Makefile | $(VENV)/python
-	@$(PIP) uv==0.13.9
-	@touch $@
