@@ -69,6 +69,7 @@ def test_compare_resume_and_report(home, env):
     armctl("report", "results", "--no-video", cwd=home)
 
 
+@pytest.mark.slow
 def test_another_spelling_of_an_id_resumes(home):
     first = ["compare", "reach_ik", "--episodes", "2", "--out", "results", "--env"]
     armctl(*first, "ArmReach-v0", cwd=home)
@@ -100,6 +101,7 @@ def test_sweep_collect_and_run(home):
     assert "the environment failed" not in shown
 
 
+@pytest.mark.slow
 def test_success_by_return(home):
     arguments = ["compare", *PAIR, "--env", "odd_environments.py:Silent", "--episodes", "12", "--out", "r"]
     armctl(*arguments, cwd=home)
@@ -124,7 +126,7 @@ def test_a_comparison_by_return_stops_when_it_is_decided_and_one_without_pairs_i
     assert "no method holds at any number of them" in " ".join(refused.stderr.split())
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Deaf", "DeafLater", "Remembering"])
 def test_an_environment_that_ignores_its_seed_is_judged_without_pairs(home, name):
     arguments = [*PAIR, "--env", f"odd_environments.py:{name}", "--episodes", "12"]
@@ -148,6 +150,7 @@ def test_an_environment_that_ignores_its_seed_is_judged_without_pairs(home, name
     assert not [text for text in (said, report, planned, swept) if "McNemar" in text or "on the same episodes" in text]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

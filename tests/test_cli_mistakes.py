@@ -120,6 +120,7 @@ def test_no_verb_starts_more_processes_than_a_machine_has(arguments, workers, tm
     assert "workers must be at least 1 and at most 1,000" in done.stderr
 
 
+@pytest.mark.slow
 def test_no_message_has_the_number_of_a_systems_error():
     """Whoever catches `OSError` writes its `reason`, or `strerror`, and not the error with its number."""
     raw = []

@@ -9,7 +9,7 @@ from armctl.core.registration import environment_names
 from .command_line import armctl
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "title"), [("push_box", "PushBox"), ("hover", "Hover")])
 def test_a_new_task_runs_in_every_verb(name, title, tmp_path):
     says = armctl("new", "task", name, cwd=tmp_path).stdout

@@ -92,6 +92,7 @@ def test_all_installed_policies_meet_somewhere():
     assert {name for name, _ in MEETINGS} | FOREIGN == set(policy_names())
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", [name for name in policy_names() if name != "random"])
 def test_policies_of_another_task_say_so(name):
     env: Any = gymnasium.make_vec(ENV if name.startswith(("barn", "bridge")) else "armctl/BridgeCross-v0", num_envs=1)

@@ -49,6 +49,7 @@ QUICK = {
 }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("source", SLOW.values(), ids=SLOW)
 def test_a_test_that_uses_more_than_the_limit_fails(outcome_of, source):
     outcome, reason = outcome_of(source)

@@ -37,6 +37,7 @@ def test_they_cross_where_nothing_stands(name):
     assert crossed(name, [3], blocks=0, deck_length=10.0, missing_barriers=0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bridge_dwa", "bridge_orca"])
 def test_they_drive_around_blocks(name, sized):
     seeds = [100 + i for i in range(sized(3, 6))]
@@ -55,6 +56,7 @@ def test_pursuit_stops_before_what_it_sees_and_goes_nowhere_else():
     assert (env.task.state.velocities == 0).all()
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", FLOORS)
 def test_they_repeat_in_any_number_of_worlds(name):
     def drive(seeds):

@@ -11,7 +11,7 @@ from ..stores import timeless
 from .driving import FAST, MOVING, STATIC, check_distances
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_it_crosses_nearly_always_and_decides_in_time(env, sized):
     results = evaluate("bridge_mpc", env, episodes=sized(2, 6), seed=0, worlds=1, env_options=FAST)

@@ -18,7 +18,7 @@ def test_reach_ik_reaches_every_reachable_target(sized):
     assert results.length.mean() < 12
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["ur3", "ur10"])
 @pytest.mark.parametrize("control", ["position", "delta", "velocity"])
 def test_reach_ik_works_on_other_arms_and_controls(robot, control):
@@ -53,6 +53,7 @@ def test_reach_ik_refuses_another_observation():
         make_policy("reach_ik", env)
 
 
+@pytest.mark.slow
 def test_reach_ik_survives_targets_out_of_reach():
     options = {"target": "box", "target_box": ((1.5, 1.5, 1.5), (2, 2, 2))}
     results = evaluate("reach_ik", episodes=3, env_options=options, lower_bound_steps=False)
@@ -85,7 +86,7 @@ def test_reach_mpc_reaches_and_keeps_all_limits(sized):
     assert results.optimality_gap.median() < 0.3
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(("policy", "error"), [("reach_mpc", 0.012), ("reach_ik", 0.02)])
 def test_experts_follow_a_moving_target(policy, error, sized):
     env, n = "armctl/ArmReachMoving-v0", sized(6, 10)
@@ -94,6 +95,7 @@ def test_experts_follow_a_moving_target(policy, error, sized):
     assert results.tracking_error.mean() < error
 
 
+@pytest.mark.slow
 def test_unprepared_reach_ik_follows_by_what_it_observes_alone():
     worlds = make_worlds("armctl/ArmReachMoving-v0", 3)
     observations, _ = worlds.reset(seed=0)
@@ -160,6 +162,7 @@ def test_position_experts_refuse_other_controls_and_observations(policy):
         make_policy(policy, gymnasium.make("armctl/BridgeCross-v0"))
 
 
+@pytest.mark.slow
 def test_no_expert_is_faster_than_possible_by_more_than_a_control_step(sized):
     n = sized(10, 50)
     comparison = compare(["reach_ik", "reach_mpc", "reach_ppo"], episodes=n, seed=7, worlds=40)

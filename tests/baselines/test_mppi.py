@@ -39,6 +39,7 @@ def test_reach_mppi_reaches_with_other_arms(robot):
     assert rate("reach_mppi", REACH, 5, env_options={"robot": robot}) >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [BRIDGE, "armctl/BridgeCrossMoving-v0"])
 def test_bridge_mppi_crosses(env, sized):
     assert rate("bridge_mppi", env, sized(1, 5)) >= 0.9
@@ -120,6 +121,7 @@ def test_an_environment_that_cannot_be_copied_says_so():
             worlds.imagined(0)
 
 
+@pytest.mark.slow
 def test_mppi_is_better_than_random(sized):
     n = sized(1, 2)
     for env, steps in (("Reacher-v5", 25), ("Pusher-v5", 20), ("InvertedPendulum-v5", 40)):

@@ -62,6 +62,7 @@ def test_labels_change_little_from_one_step_to_the_next(played):
         assert np.abs(after - before)[playing].max(initial=0.0) < 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [0.05, 0.3])
 def test_labels_go_by_the_observed_joints(model, played, shift):
     """Asked where somebody else has taken the joints, the label starts from there, and is safe too."""
@@ -158,6 +159,7 @@ def test_it_reaches_where_it_touched_or_stood_still(seed, episode):
     assert not any(touched.any() for touched in info["contacts"].values())
 
 
+@pytest.mark.slow
 def test_joints_that_are_off_their_drives_stop_freely(model, played):
     """Drives that stop freely are not enough: from the joints as observed, the same motion touches nothing either."""
     worlds = make_worlds(OBSTACLES, 20)
@@ -182,6 +184,7 @@ def test_joints_that_are_off_their_drives_stop_freely(model, played):
     assert all(safe)
 
 
+@pytest.mark.slow
 def test_jerk_limited_paths_are_smoother_and_free(sized):
     n = sized(6, 20)
 
@@ -195,6 +198,7 @@ def test_jerk_limited_paths_are_smoother_and_free(sized):
     assert smooth.tip_jerk_max.mean() < 0.75 * plain.tip_jerk_max.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disturbances", [{"noise": 0.05}, {"pushes": 40}])
 def test_an_arm_that_leaves_its_trajectory_goes_on_by_sight(disturbances):
     options = {"control": "velocity", "disturbances": disturbances}

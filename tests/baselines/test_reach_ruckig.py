@@ -42,6 +42,7 @@ def test_it_reaches_with_every_command_of_drives(control, sized):
     assert results.success.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", ["acceleration", "velocity"])
 def test_gentler_motions_take_longer(share):
     def length(policy):
@@ -52,6 +53,7 @@ def test_gentler_motions_take_longer(share):
     assert length(f"reach_ruckig:{share}=0.3") > 1.3 * length("reach_ruckig")
 
 
+@pytest.mark.slow
 def test_it_stays_beside_a_moving_target(sized):
     n = sized(5, 12)
     env = "armctl/ArmReachMoving-v0"

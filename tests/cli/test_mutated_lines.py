@@ -233,13 +233,13 @@ def changed_lines(run, verb, count):
     each()
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", LINES)
 def test_a_valid_line_is_mostly_fine(run, verb):
     valid_lines(run, verb, 3)
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", LINES)
 def test_a_line_with_one_part_changed_works_or_is_refused(run, verb):
     changed_lines(run, verb, 3 if verb in SLOW else 8)

@@ -35,6 +35,7 @@ def deviation(poses, path):
     return np.linalg.norm(offset - share[..., None] * ways, axis=-1).min(axis=1).max()
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("turning", [0.8, 1.0, 1.1])
 def test_planned_paths_are_kept_to_at_speed(turning):
     rng, averages = np.random.default_rng(0), []

@@ -59,6 +59,7 @@ def check(motion, lower=LIMITS.lower, upper=LIMITS.upper):
     assert (q <= upper + 1e-9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("posture", [True, False])
 def test_plans_keep_dynamics_and_limits_and_can_go_on_for_ever(posture):
     rng, mpc = np.random.default_rng(0), ReachMpc(MODEL)
@@ -123,6 +124,7 @@ def test_plans_in_closed_loop_cost_what_converged_ones_do():
     assert np.median(later) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["ur3", "ur5", "panda"])
 def test_symbolic_kinematics_are_the_models(robot):
     casadi = pytest.importorskip("casadi")

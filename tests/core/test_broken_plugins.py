@@ -63,7 +63,7 @@ def test_who_names_it_is_told_in_a_line(plugin):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 def test_everybody_else_goes_on(plugin):
     assert describe_policy("reach_ik")
     assert load_learner("ppo")

@@ -100,7 +100,7 @@ def agent_of(folder, name, changes=()):
     return f"{name}.json"
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["[red]x[red]", "[bold]", "[", "[@click=f()]y[]"])
 def test_square_brackets_in_names_are_no_markup(tmp_path, name):
     agent = agent_of(tmp_path, name)

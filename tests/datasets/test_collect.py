@@ -123,7 +123,7 @@ def test_a_finished_collection_is_left_as_it_is(interrupted):
     assert files(interrupted) == before
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -168,6 +168,7 @@ def test_an_episode_that_is_damaged_is_played_again(interrupted, whole):
     assert same_dataset(interrupted, whole)
 
 
+@pytest.mark.slow
 def test_a_damaged_manifest_is_told(interrupted):
     collect("random", episodes=9, out=interrupted, env_options=SHORT)
     manifest = interrupted / "data/metadata.json"
@@ -178,6 +179,7 @@ def test_a_damaged_manifest_is_told(interrupted):
             collect("random", episodes=9, out=interrupted, env_options=SHORT)
 
 
+@pytest.mark.slow
 def test_a_dataset_whose_results_are_lost_is_not_replaced(interrupted):
     collect("random", episodes=9, out=interrupted, env_options=SHORT)
     before = files(interrupted)
@@ -287,7 +289,7 @@ class Killed(BaseException):
     """The end of the process, as far as one process can tell."""
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("step", ["write_dataset", "sealed", "rename", "rmtree"])
 @pytest.mark.parametrize("after", [False, True])
 def test_an_end_while_the_dataset_is_assembled_loses_nothing(interrupted, whole, monkeypatch, step, after):

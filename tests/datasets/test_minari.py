@@ -83,6 +83,7 @@ def test_failed_episodes_are_told_from_successes(tmp_path):
     assert not any(episode.success or episode.terminated for episode in read)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["depth", "classes"])
 def test_camera_observations_are_kept_exactly(camera, tmp_path):
     options = {**CAMERA, "camera": camera}

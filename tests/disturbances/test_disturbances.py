@@ -24,6 +24,7 @@ ENVS = (
 )
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("env", ENVS)
 def test_at_neutral_levels_an_environment_is_bit_for_bit_what_it_was(env):
     plain = worlds(env, 2)
@@ -33,6 +34,7 @@ def test_at_neutral_levels_an_environment_is_bit_for_bit_what_it_was(env):
     assert all(np.array_equal(a, b) for a, b in zip(played(plain), played(neutral), strict=True))
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("env", "name"),
     [(REACH, name) for name in ARM]
@@ -202,6 +204,7 @@ def test_weak_motors_cannot_hold_what_strong_ones_can():
     assert np.abs(weak.qfrc_actuator).max() <= 15.0 + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("env", "period"), [(REACH, 0.04), pytest.param(BRIDGE, 0.1, marks=pytest.mark.slow)])
 def test_pushes_come_once_a_second_with_their_impulse_whatever_the_policy_does(env, period):
     told = []
@@ -226,6 +229,7 @@ def test_pushes_come_once_a_second_with_their_impulse_whatever_the_policy_does(e
     assert (directions[:, 2] == 0).all() == (env == BRIDGE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("env", "impulse"), [(REACH, 40.0), (BRIDGE, 20.0)])
 def test_pushes_move_the_robot(env, impulse):
     still = {REACH: lambda made: made.task.arm.description.home, BRIDGE: lambda made: np.zeros(2)}[env]
@@ -241,6 +245,7 @@ def test_pushes_move_the_robot(env, impulse):
     assert (moved[1] > moved[0] + 0.02).sum() >= 5
 
 
+@pytest.mark.slow
 def test_lost_pictures_are_black_and_of_the_share_asked_for():
     plain, worse = worlds(BRIDGE, 60), worlds(BRIDGE, 60, {"dropout": 0.3})
     blacked = []

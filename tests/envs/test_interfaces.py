@@ -69,6 +69,7 @@ def test_every_number_observed_is_within_finite_bounds(env, options, sized):
         assert space.contains(worlds.step(worlds.action_space.sample())[0])
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(("env", "options"), [(REACH[0], {}), (REACH[1], {}), (REACH[2], {}), (BRIDGE[0], SMALL)])
 @pytest.mark.parametrize("flat", [False, True])

@@ -83,7 +83,7 @@ def test_a_typo_in_a_reward_is_shown_with_its_place():
         list(rollouts(armctl.make_policy("random", env), env, 1, 0))
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("env", "bounds"),
     [

@@ -120,6 +120,7 @@ def test_the_episode_ends_as_unstable_and_the_next_one_is_as_in_a_fresh_environm
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("env", ENVS)
 def test_a_world_that_stands_still_after_it_has_become_unstable_changes_nothing(env):
     broken, whole = worlds(env, mode="disabled"), worlds(env, mode="disabled")

@@ -102,6 +102,7 @@ def as_strict(sql):
     return "PRAGMA writable_schema = ON", change, "PRAGMA writable_schema = RESET"
 
 
+@pytest.mark.slow
 def test_any_bytes_are_refused_or_change_nothing(made_up, sized):
     whole, rng, refused = (made_up / STORE).read_bytes(), np.random.default_rng(0), 0
     contents = [b"", b"SQLite format 3\0", *(whole[:end] for end in range(1, len(whole), 2_003))]

@@ -50,6 +50,7 @@ def test_a_missing_library_is_told(tmp_path, monkeypatch):
         write_parquet(tmp_path, EpisodeTable())
 
 
+@pytest.mark.slow
 def test_tables_are_written_again_from_any_results_folder(tmp_path):
     options = ["--episodes", "2", "--set", "max_episode_steps=3", "--out", "out"]
     armctl("sweep", "random", "--disturbance", "delay=1", *options, cwd=tmp_path)

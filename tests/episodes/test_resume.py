@@ -139,7 +139,7 @@ def still(observation):
 """
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("edited", ["still.py", "helper.py"])
 def test_edited_code_is_another_comparison(tmp_path, edited):
     (tmp_path / "still.py").write_text(STILL)

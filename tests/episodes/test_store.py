@@ -152,7 +152,7 @@ def interrupts(count, files, call, *arguments):
     return False
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (40_000, True), (200_000, True)])
 def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept):
     found = list(played(400, "ba"))
@@ -190,6 +190,7 @@ def test_cells_share_a_file_and_nothing_else(tmp_path):
         read_store(tmp_path)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", ["a b", "#?%41&mode=ro", "\udcff", "é\n"])
 def test_a_folder_of_any_name_holds_results(name, tmp_path):
     made = armctl.compare(["random"], episodes=2, out=tmp_path / name, env_options={"max_episode_steps": 2})

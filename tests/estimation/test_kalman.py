@@ -122,6 +122,7 @@ def test_errors_are_as_large_as_their_covariances_say():
     assert 6 * 0.8 < np.mean(errors) < 6 * 1.2  # chi-square of 6 degrees: 4 standard deviations of the mean
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("scale", [0.0, 0.01, 1.0, 25.0])
 def test_it_identifies_the_scale_of_the_noise(scale):
     rng, filters = np.random.default_rng(2), KalmanFilter(TRACKED, 20, IDENTIFYING)

@@ -228,7 +228,7 @@ def outcomes(run, verb, port, count):
     return outcomes_of(run, lambda run, rng: run(words_of(verb, port, rng)), count)
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "verb",
     [verb if verb in QUICK else pytest.param(verb, marks=pytest.mark.slow) for verb in VERBS],

@@ -312,7 +312,7 @@ KINDS = {
 """How often each is tried: 1,000 times or more for results, sweeps, suites, cards, graphs, recipes and curves."""
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("original", "doing"),
     [
@@ -329,7 +329,7 @@ def test_what_is_not_mutated_is_read(load, original, doing):
     assert load(original, doing, lambda folder: None) == ("fine", "")
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_mutated_file_is_read_or_refused(load, kind):
     assert "refused" in outcomes_of(load, kind, 15)

@@ -146,7 +146,7 @@ def test_features_of_goals_need_goals_and_features(options):
         GoalFeatures(VecEnv(worlds(**options)).observation_space)
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["MultiInputPolicy", "CnnPolicy"])
 def test_networks_see_a_picture(policy):
     seen = {"observation": "image"} if policy == "CnnPolicy" else {}

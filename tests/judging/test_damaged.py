@@ -193,6 +193,7 @@ REFUSED: dict[str, tuple] = {
 }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_not_clear_is_refused_in_one_line(tmp_path, name):
     *file, content, message = REFUSED[name]

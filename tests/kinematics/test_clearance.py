@@ -70,6 +70,7 @@ def distances_by_coal(model, q):
     return least
 
 
+@pytest.mark.slow
 def test_distances_are_those_of_coal(model, postures):
     expected = np.array([distances_by_coal(model, q) for q in postures])
     found = Clearance(model).min_distances(postures)

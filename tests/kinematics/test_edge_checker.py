@@ -73,6 +73,7 @@ def test_a_motion_that_leads_keeps_the_clearance_by_mujoco(model, shapes):
     assert led > 100
 
 
+@pytest.mark.slow
 def test_a_motion_with_more_than_the_clearance_leads(model, shapes):
     rng, wide = np.random.default_rng(3), 0
     for _ in range(8):
@@ -169,6 +170,7 @@ def free_path(checker, start, rng, corners=10):
     return path
 
 
+@pytest.mark.one_case
 def test_the_farthest_goal_is_free_and_hardly_anything_behind_it_is(model, shapes):
     rng, cut = np.random.default_rng(8), 0
     for _ in range(30):

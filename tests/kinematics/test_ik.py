@@ -111,7 +111,7 @@ def test_numeric_solver_solves_poses_from_anywhere(make, count):
     assert solved == count
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "on_floor"), [("xarm7", "xarm7"), ("panda", "panda"), ("panda_open", "panda")])
 def test_arms_with_seven_joints_have_all_solutions_of_ssik(robot, on_floor):
     model, unmounted = ArmModel(robot), ArmModel(on_floor)

@@ -81,7 +81,7 @@ def test_joints_commanded_so_are_in_the_sphere_in_time(arm):
         assert late.max() < 1e-6
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 def test_no_general_solver_finds_a_sooner_touch(arm):
     thorough = MinimumTimeReach(arm.model, THOROUGH)
     rng = np.random.default_rng(0)

@@ -40,6 +40,7 @@ def central_differences(function, q):
     return [(function(q + step), function(q - step)) for step in STEP * np.eye(len(q))]
 
 
+@pytest.mark.slow
 def test_forward_kinematics_is_that_of_mujoco(model, world):
     data = mujoco.MjData(world)
     tip = data.body(f"arm/{model.description.tip}")
@@ -96,6 +97,7 @@ def test_batches_equal_single_configurations(model, shape):
         np.testing.assert_allclose(positions[i], model.position(q[i]), atol=1e-12)
 
 
+@pytest.mark.one_case
 def test_is_free_where_mujoco_has_no_contact(model, world):
     nearly = 1e-4  # m; closer to touching than this, either may be right
     world.pair_margin[:] = nearly
@@ -131,7 +133,7 @@ def test_base_distance_is_that_to_the_base_capsules(model):
         assert model.base_distance(point) == pytest.approx(min(expected), abs=1e-6)
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 def test_box_distances_are_those_of_points_along_the_capsules(model):
     rng, frames = np.random.default_rng(0), {frame.name: i for i, frame in enumerate(model.pinocchio.frames)}
     boxes = Boxes(rng.uniform(-0.8, 0.8, (5, 3)), rng.uniform(0.02, 0.2, (5, 3)), rng.uniform(-np.pi, np.pi, 5))

@@ -5,6 +5,7 @@ from armctl.kinematics import THOROUGH, ArmModel, MinimumTimeReach, ReachTimes, 
 from armctl.robot_description import load_arm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["ur5", "panda"])
 def test_times_are_near_above_the_least(robot):
     model = ArmModel(load_arm(robot))
@@ -34,6 +35,7 @@ def test_goals_are_in_the_sphere_or_said_not_to_be():
     assert least[1] > 1.5
 
 
+@pytest.mark.slow
 def test_a_batch_is_as_its_members():
     model = ArmModel(load_arm("z1"))
     times = ReachTimes(model, 0.03)

@@ -1,12 +1,14 @@
 """The table of configurations."""
 
 import numpy as np
+import pytest
 
 from armctl.kinematics import ArmModel, ReachabilityMap
 from armctl.kinematics.reachability_map import ON_TARGET
 from armctl.scene import NO_BOXES
 
 
+@pytest.mark.slow
 def test_ways_end_at_the_target():
     """Refined candidates may miss it: the arm would go there and stay."""
     model = ArmModel("z1")

@@ -23,6 +23,7 @@ def samples(workspace):
     return np.array([workspace.sample(rng, CLEARANCE) for _ in range(1000)])
 
 
+@pytest.mark.slow
 def test_samples_are_reachable_with_clearance(workspace, samples):
     ik = Ik(workspace.model)
     for position in samples:
@@ -95,6 +96,7 @@ def test_where_a_free_configuration_is_can_be_reached(workspace):
     assert np.mean([workspace.reachable(model.position(q)) for q in free]) >= 0.99
 
 
+@pytest.mark.one_case
 def test_tolerance_reaches_just_beyond_the_edge(workspace):
     for direction in np.random.default_rng(0).normal(size=(10, 3)) * [1, 1, 0.3] + [0, 0, 0.5]:
         ray = direction / np.linalg.norm(direction)

@@ -114,6 +114,7 @@ def test_another_process_finds_the_same_path(ur5):
     assert (run.stdout.strip(), run.stderr) == (str(ur5.plan(layout).path.tolist()), "")
 
 
+@pytest.mark.slow
 def test_without_boxes_the_way_is_as_straight_as_soon(case):
     rng = np.random.default_rng(4)
     for _ in range(15):

@@ -52,7 +52,7 @@ def test_other_options_are_another_comparison(short, tmp_path):
     assert known() != before
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("name", configurations())
 def test_the_files_beside_experts_have_their_present_options(name, monkeypatch):
     """So that a tuning begins where the expert is."""

@@ -118,6 +118,7 @@ def test_who_declares_foresight_of_the_target_gets_its_curve(sees):
     np.testing.assert_allclose(notes[0].positions(times), positions[:5], atol=1e-9)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("sees", ["observation", "model", "map", "state"])
 def test_who_does_not_declare_it_does_not_get_it(sees):
     make, notes = previews((), sees)
@@ -130,6 +131,7 @@ def test_who_does_not_declare_it_does_not_get_it(sees):
     assert not notes
 
 
+@pytest.mark.slow
 def test_the_map_of_people_is_for_who_foresees_them():
     def driver(**declaration):
         @armctl.sees("state", **declaration)

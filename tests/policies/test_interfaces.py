@@ -39,6 +39,7 @@ def mine(tmp_path, interface='control="velocity", observation="full"', before=""
     return f"{file}:Mine"
 
 
+@pytest.mark.slow
 def test_policies_of_different_interfaces_meet_in_the_same_episodes(tmp_path):
     name = mine(tmp_path, 'control="velocity", observation="full", frames=2')
     comparison = armctl.compare([name, "reach_ik"], REACH, episodes=10, env_options=SHORT)

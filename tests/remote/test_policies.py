@@ -140,6 +140,7 @@ def test_a_server_of_openpi_sends_chunks(fake):
     assert played.episodes.decision_ms_max.item() == 0.25
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("answer", "says"),
     [

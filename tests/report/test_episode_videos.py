@@ -11,6 +11,7 @@ from ..forgery import forge
 from .pages import POLICIES, text_of
 
 
+@pytest.mark.slow
 def test_episodes_to_show(finished):
     episodes = read_comparison(finished).counted
     together = videos.largest_difference(episodes)
@@ -59,6 +60,7 @@ def test_policies_that_are_gone_are_told_and_the_others_shown(folder):
     assert report.read_text().count("<video") == 4
 
 
+@pytest.mark.slow
 def test_without_opengl_the_report_says_so(folder, monkeypatch):
     def none(*arguments):
         raise ConfigurationError("pictures need OpenGL, and MuJoCo found none")

@@ -26,6 +26,7 @@ def test_terms_of_the_reward_are_in_the_table_and_add_up(finished):
     assert (terms.goal == 100 * episodes.success).all()
 
 
+@pytest.mark.slow
 def test_figures_hold_the_numbers_of_the_summary(folder):
     report = write_report(folder, video=False)
     summary = {policy["policy"]: policy for policy in json.loads((folder / "summary.json").read_text())["policies"]}
@@ -172,6 +173,7 @@ def test_a_profile_begins_where_policies_differ(returns, start):
     assert profile_start(episodes_of(**returns)) == start
 
 
+@pytest.mark.slow
 def test_the_profile_says_what_it_leaves_out(finished, tmp_path):
     report = write_report(finished, tmp_path / "profile.html", video=False)
     figure = plot_of(report, "Share of episodes above")

@@ -56,6 +56,7 @@ def test_the_report_goes_where_it_is_asked_to(folder, tmp_path):
 NAMES = ["<script>alert(1)</script>", '</script><img src=x onerror="alert(1)">', "<b>bold</b> & 'so' {{ 7 * 7 }}"]
 
 
+@pytest.mark.slow
 def test_names_are_shown_and_not_obeyed(folder):
     for name, hostile in zip(POLICIES, NAMES, strict=True):
         forge(folder, name, hostile)
@@ -74,6 +75,7 @@ def test_one_policy_and_a_single_episode(tmp_path):
     assert "Pairs of policies" not in text
 
 
+@pytest.mark.slow
 def test_a_few_episodes_have_no_verdict(tmp_path):
     compare(["reach_ik", "random"], episodes=2, out=tmp_path, env_options=OPTIONS)
     assert "No verdict from 2 episodes" in text_of(write_report(tmp_path, video=False))
@@ -100,6 +102,7 @@ def stopping(env):
     return Still(env, 2, KeyboardInterrupt)
 
 
+@pytest.mark.slow
 def test_an_interrupted_comparison_and_a_failed_policy(tmp_path):
     comparison = compare([broken, "reach_ik", stopping], episodes=5, out=tmp_path, env_options=OPTIONS)
     assert comparison.interrupted

@@ -60,12 +60,14 @@ def test_the_page_has_the_answer_the_map_and_the_links(folder):
     assert "Under disturbances" in (folder / "ArmReach-v0.html").read_text()
 
 
+@pytest.mark.slow
 def test_links_lead_from_where_the_page_is(folder, tmp_path):
     page = write_report(folder, tmp_path / "other.html")
     assert 'href="ArmReach-v0.html"' in page.read_text()
     assert (tmp_path / "ArmReach-v0.html").exists()
 
 
+@pytest.mark.slow
 def test_names_and_messages_are_shown_and_not_obeyed(folder):
     forge(folder, "reach_ppo", HOSTILE)
 
@@ -80,6 +82,7 @@ def test_names_and_messages_are_shown_and_not_obeyed(folder):
     assert f"mine/Other-v0: {HOSTILE}" in text_of(page)
 
 
+@pytest.mark.slow
 def test_a_suite_without_a_finished_task_is_a_page_too(folder):
     with contextlib.closing(sqlite3.connect(folder / STORE)) as file, file:
         file.execute("UPDATE cell SET facts = NULL")

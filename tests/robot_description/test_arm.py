@@ -64,6 +64,7 @@ def test_mesh_vertices_lie_within_their_links_capsule(robot):
         assert outermost(capsule, mesh.vertices) <= capsule.radius + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", BUILTIN_ARMS)
 def test_home_is_free_and_neighbours_are_not_tested(robot):
     model = ArmModel(robot)
@@ -126,6 +127,7 @@ def test_forward_kinematics_of_a_small_arm(urdf):
         np.testing.assert_allclose(data.body("arm/l3").xpos, tip_position(q), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "dof"), [("z1", 6), ("panda", 7), ("xarm7", 7)])
 def test_arms_that_are_no_ur(robot, dof):
     description, model, world = everywhere(robot)
@@ -269,7 +271,7 @@ def test_limits_and_joint_order_are_the_same_in_every_library(urdf):
             np.testing.assert_allclose(upper, description.limits.upper)
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
 def test_pairs_of_a_file_alone_get_apart_and_do_not_forbid_most_configurations(name):
     builtin = BUILTIN_ARMS[name]

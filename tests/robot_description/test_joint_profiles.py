@@ -37,6 +37,7 @@ def run(goal, position, velocity, ticks):
     return np.array(positions), np.array(velocities)
 
 
+@pytest.mark.slow
 @batches
 @given(many, many)
 def test_arrive_and_stand_still_exactly_there(a, b):
@@ -49,6 +50,7 @@ def test_arrive_and_stand_still_exactly_there(a, b):
     assert (positions <= high + 1e-9).all()
 
 
+@pytest.mark.slow
 @properties
 @given(parts, st.lists(parts, min_size=1, max_size=8), st.integers(1, 40))
 def test_keep_to_all_limits_whatever_is_wanted(a, goals, ticks):
@@ -81,6 +83,7 @@ def test_travel_time_is_when_the_extent_gets_there(a, b, share):
     assert (np.abs(speed) <= LIMITS.velocity + 1e-12).all()
 
 
+@pytest.mark.slow
 @batches
 @given(many, many)
 def test_no_drive_is_sooner_than_the_travel_time_but_by_half_a_tick(a, b):

@@ -22,6 +22,7 @@ def frame(mass, inertia, parent):
     return {"dummy": dummy, "to_dummy": joint("to_dummy", parent, "dummy", "fixed", limit="")}
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("inertia", INERTIAS.values(), ids=INERTIAS)
 def test_frames_and_bases_without_inertia_are_taken_to_have_no_mass(urdf, inertia):
     for parts, name in (

@@ -146,6 +146,7 @@ UPRIGHT, HANGING, TILTED, WALL = ("0 0 0", "0 0 0"), ("0 0 0.7", "3.141592653589
 )  # fmt: skip
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("mount", [UPRIGHT, HANGING, TILTED, WALL])
 def test_no_link_passes_through_the_floor_unseen(urdf, mount):
     home = [0, 1.5 * (mount is HANGING), 0, 0, 0, 0]
@@ -245,6 +246,7 @@ ODD = {
 }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("changes", "says"), ODD.values(), ids=ODD)
 def test_what_is_odd_is_told_and_what_is_not_is_not(urdf, changes, says):
     with pytest.warns(UserWarning, match=says):
@@ -292,6 +294,7 @@ LEFTOVERS = {
 }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("declared", [True, False])
 @pytest.mark.parametrize(("old", "new"), LEFTOVERS.values(), ids=LEFTOVERS)
 def test_leftovers_of_xacro_are_refused(urdf, old, new, declared):

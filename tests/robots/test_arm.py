@@ -60,7 +60,7 @@ class Rig:
         return np.array(goals)
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_keyframe_is_home(robot, control):
@@ -75,6 +75,7 @@ def test_keyframe_is_home(robot, control):
     np.testing.assert_allclose(rig.arm.end_effector_positions, np.tile(position, (rig.n, 1)), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_arms_stand_still_against_gravity(robot, control):
@@ -100,6 +101,7 @@ def test_without_gravity_compensation_the_arm_would_fall():
     assert np.abs(rig.arm.joint_positions - rig.description.home).max() > 0.1
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_action_bounds_are_the_limits(robot, control):
@@ -117,6 +119,7 @@ def test_action_bounds_are_the_limits(robot, control):
     np.testing.assert_allclose(rig.arm.action_high, high)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_position_command_arrives_in_the_time_that_limits_allow(robot):
     rig = Rig(robot, "position")
@@ -130,6 +133,7 @@ def test_position_command_arrives_in_the_time_that_limits_allow(robot):
     np.testing.assert_allclose(rig.arm.joint_velocities, 0, atol=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("control", ["position", "delta", "velocity"])
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_command_keeps_to_the_limits_of_velocity_acceleration_and_position(robot, control):
@@ -152,6 +156,7 @@ def test_command_keeps_to_the_limits_of_velocity_acceleration_and_position(robot
     assert hardest == pytest.approx(1, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_command_waits_for_a_joint_that_is_blocked(robot):
     rig = Rig(robot, "velocity")
@@ -163,6 +168,7 @@ def test_a_command_waits_for_a_joint_that_is_blocked(robot):
     assert (before - rig.arm.joint_positions)[:, 1].min() > 0.3  # within a second, it is on its way back
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_joints_follow_the_command_closely(robot):
     rig = Rig(robot, "position", n=32)
@@ -208,6 +214,7 @@ def test_delta_mode_displaces_by_that_much(robot):
     np.testing.assert_allclose(rig.commanded, before + deltas, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_joint_torques_stay_within_the_effort_limits(robot, control):
@@ -262,6 +269,7 @@ def test_world_has_the_links_shapes_and_the_collision_pairs_of_the_description()
     assert model.nmesh == len(description.meshes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_arm_stops_at_the_floor(robot):
     rig = Rig(robot, "position", n=1)

@@ -143,6 +143,7 @@ def test_real_time_in_processes_is_the_same(tmp_path):
     assert_same_episodes(here, there)
 
 
+@pytest.mark.slow
 def test_late_decisions_are_missed_deadlines_and_results_say_how_they_came(clock, tmp_path):
     arguments: dict[str, Any] = {"env": BRIDGE, "episodes": 2, "env_options": SHORT}
     late = compare({"wandering": wandering(clock)["wandering"]}, **arguments, real_time="measured", slow_down=5,

@@ -1,6 +1,7 @@
 """Episodes whose physics failed are counted apart, and are no successes; where there are none, nothing is said."""
 
 import numpy as np
+import pytest
 
 import armctl
 from armctl.study import compare
@@ -44,6 +45,7 @@ def words(comparison):
     return " ".join(part.text for part in comparison.document().parts if hasattr(part, "text"))
 
 
+@pytest.mark.slow
 def test_unstable_episodes_are_failures_and_are_told(tmp_path):
     comparison = compare([exploding, "reach_ik"], "tests/Explosive-v0", episodes=6, worlds=3, out=tmp_path)
     broken, whole = comparison.policies
@@ -55,6 +57,7 @@ def test_unstable_episodes_are_failures_and_are_told(tmp_path):
     assert np.isfinite(numbers.to_numpy(dtype=float)).all()
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_nothing_was_unstable():
     comparison = compare(["reach_ik", "random"], episodes=6, worlds=3)
     assert [policy.unstable for policy in comparison.policies] == [0, 0]

@@ -121,6 +121,7 @@ def test_options_that_are_objects_count_by_value(tmp_path):
         compare("random", episodes=2, out=tmp_path, env_options=reward(2.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "place",
     ["armctl.tasks.reach.reach:ReachTask.instruction", "armctl.tasks.reach.reach:LARGEST_RELATIVE_MOVE"],
@@ -148,6 +149,7 @@ class Doubled(Net):
         return 2 * super().act(observation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", [lambda: Net(0.9), lambda: Doubled(0.1)], ids=["attribute", "type"])
 def test_a_torch_module_with_the_same_parameters_is_another_one(tmp_path, other):
     assert plays(tmp_path, {"net": Net(0.1)}) == 0

@@ -58,6 +58,7 @@ def test_a_script_that_runs_again_resumes_and_an_edited_one_does_not(tmp_path, b
     assert "ResultsError" in run(0.9, "3").stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lazy", [True, False])
 def test_an_import_within_a_function_counts(tmp_path, lazy, monkeypatch):
     body = "def pd(observation):\n    from gains import G\n    return observation[3:9] * G\n"
@@ -85,6 +86,7 @@ class Maze(PendulumEnv):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "steps", "g"), [("registered", 60, 10.0), ("registered", 50, 3.0), ("code: labyrinth.py", 50, 10.0)]
 )
@@ -198,6 +200,7 @@ def test_a_module_that_was_loaded_then_counts_loaded_or_not_and_others_do_not(mo
         plays(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_global_that_a_script_sets_is_another_policy(modules, tmp_path, monkeypatch):
     (mine,) = modules(mine="GAIN = 0.1\n\ndef pd(x):\n    return x[3:9] * GAIN\n")
     assert plays(tmp_path / "out", ["mine:pd"]) == 0

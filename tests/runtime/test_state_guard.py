@@ -74,6 +74,7 @@ CHEATS = [
 ]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "cheat", "changed"), CHEATS, ids=[f"{env} {name}" for env, _, name in CHEATS])
 def test_whoever_writes_to_the_world_is_disqualified(env, cheat, changed):
     worlds = make_worlds(env, 2)
@@ -158,6 +159,7 @@ def test_none_of_its_episodes_count_and_everything_says_why(tmp_path):
     assert [policy.policy for policy in workers.policies] == ["random"]
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", "ArmScenes-v0", OBSTACLES, BRIDGE]
 )
@@ -265,6 +267,7 @@ def test_whoever_writes_and_then_raises_is_disqualified_too():
     assert "cheat is disqualified: in episode 0, it wrote to the world" in failure
 
 
+@pytest.mark.slow
 def test_evaluate_collect_and_results_on_disk_know_of_it(tmp_path):
     cheat = at_birth(widens_the_goal)
     with pytest.raises(PolicyDisqualified, match="cheat is disqualified: when it was made"):
@@ -311,6 +314,7 @@ def test_environments_of_others_are_watched_as_a_policy_is_made():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "env", [REACH, "ArmLift-v0", "ArmPose-v0", "ArmPush-v0", "ArmReachMoving-v0", "ArmScenes-v0", OBSTACLES, BRIDGE]
 )

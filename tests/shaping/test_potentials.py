@@ -56,6 +56,7 @@ def test_a_potential_is_one_function_of_the_state_for_an_episode(env, name, expe
     np.testing.assert_array_equal(late.potentials(ids[1:3]), now[1:3])
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(("env", "name", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
 def test_an_expert_climbs_its_potential(env, name, expert):
     worlds = make(env)
@@ -88,6 +89,7 @@ def test_ik_is_near_the_min_time():
     assert np.quantile(over, 0.9) < 0.12
 
 
+@pytest.mark.slow
 def test_ik_is_zero_in_the_sphere_only():
     worlds = TaskVectorEnv(8, task=ReachTask)
     potential, actor = make_potential("ik", worlds), make_policy("reach_ik", worlds)

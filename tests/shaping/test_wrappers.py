@@ -76,7 +76,7 @@ def test_shaping_telescopes_over_truncated_random_episodes(env, potential, exper
     assert not assert_telescopes(env, potential, "random", 6, 9).any()
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(("env", "potential", "expert"), [pair for pair in PAIRS if "Moving" not in pair[0]])
 def test_shaping_telescopes_over_expert_episodes_that_terminate(env, potential, expert):
     slow = "Push" in env or "Lift" in env or "Scenes" in env
@@ -125,6 +125,7 @@ def test_a_potential_that_is_stale_after_a_reset_is_found_out(monkeypatch):
     assert not np.allclose(second_episode(shaped()), fresh(shaped()))
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("env", ["armctl/ArmReach-v0", "armctl/BridgeCross-v0"])
 @pytest.mark.parametrize("mode", ["same_step", "next_step"])
 def test_autoreset_hides_nothing_from_the_shaping(env, mode):

@@ -94,6 +94,7 @@ def test_what_is_killed_again_and_again(tmp_path, verb, of_worker, trial):
     assert not list(out.rglob("*unfinished*"))
 
 
+@pytest.mark.slow
 def test_what_a_killed_run_left_unfinished_is_removed(tmp_path):
     armctl(*COMMANDS["compare"], cwd=tmp_path)
     out = tmp_path / "out"

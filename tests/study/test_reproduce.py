@@ -111,6 +111,7 @@ CHEAP = ("reach_", "moving_", "obstacles_", "pose_", "scenes_")
 """Agents of short episodes and cheap decisions, but for `reach_td_mpc2`, which plans for each."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "card",
     [

@@ -116,6 +116,7 @@ def test_a_test_is_drawn_after_all_have_played_the_last_one(release, tmp_path, m
     assert "DEVELOPMENT_SEED = 2026\n" in release.SEEDS.read_text()
 
 
+@pytest.mark.slow
 def test_published_agents_are_of_the_present_test():
     """All of one seed, in the table as well; those that were trained since the last release are of none."""
     for path in sorted((ROOT / "rl" / "agents").rglob("*.json")):

@@ -162,6 +162,7 @@ def test_the_verb_takes_several_seeds(tmp_path):
     assert armctl("compare", "reach_ik", "runs/small[*]", "--episodes", "2", cwd=tmp_path).returncode == 0
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

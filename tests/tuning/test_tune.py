@@ -38,6 +38,7 @@ def test_the_first_trial_is_the_present_values(tmp_path):
     assert found.processor_seconds > 0
 
 
+@pytest.mark.slow
 def test_more_trials_resume_and_the_same_number_does_nothing(tmp_path):
     first, again, more = (
         [one.params for one in tune(expert(), tmp_path, trials=trials).trials] for trials in (2, 2, 4)

@@ -55,6 +55,7 @@ def test_the_page_shows_all_plots_without_the_network(chromium, tuned):
     assert wide
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

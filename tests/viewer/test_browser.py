@@ -115,6 +115,7 @@ def test_the_next_episode_follows_and_another_policy_may_come_on():
     assert viewer.frame.notice == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["ur3", "ur5", "panda"])
 def test_the_first_view_is_of_the_workspace(robot):
     player = Player(Stage("random", "armctl/ArmReach-v0", env_options={"robot": robot}))

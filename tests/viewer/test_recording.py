@@ -20,7 +20,7 @@ def record(path, frames=NOISE):
     return said
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", VIDEO_FORMATS)
 def test_a_video_has_every_frame_and_a_short_one_is_refused(tmp_path, suffix):
     path = tmp_path / f"film{suffix}"
@@ -37,6 +37,7 @@ def test_a_video_has_every_frame_and_a_short_one_is_refused(tmp_path, suffix):
             check_frames(path, 30, "film")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interrupt", [KeyboardInterrupt, ResultsError])
 def test_an_interrupted_video_has_what_was_filmed(tmp_path, interrupt):
     def frames():

@@ -110,6 +110,7 @@ def test_rovers_that_have_crossed_are_not_driven_on(worlds):
     assert (rovers.survival_steps == 18).all()
 
 
+@pytest.mark.slow
 def test_who_looks_ahead_lasts_longer(worlds):
     by_itself = look(worlds, linear=(1.6,), angular=(0.0,))  # there is nothing else to try
     alone, ahead = lengths(by_itself, worlds), lengths(look(worlds), worlds)

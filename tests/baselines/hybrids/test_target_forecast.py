@@ -37,6 +37,7 @@ def watch(observer, target, steps, noise, rng):
     return time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_target_is_foreseen_better_than_by_its_acceleration(model, seed):
     rng, errors = np.random.default_rng(5), []

@@ -32,6 +32,7 @@ def fitted(observations, actions, steps, **options):
     return network
 
 
+@pytest.mark.slow
 def test_a_chunk_is_what_was_shown_action_by_action():
     observations = torch.linspace(-1, 1, 400)[:, None]
     actions = torch.stack([observations.sin(), observations, -observations], dim=1)
@@ -41,6 +42,7 @@ def test_a_chunk_is_what_was_shown_action_by_action():
     assert (plans - actions).abs().mean() < 0.08
 
 
+@pytest.mark.slow
 def test_where_teachers_go_left_or_right_the_style_tells_which():
     torch.manual_seed(1)
     sides = torch.where(torch.rand(2000, 1, 1) < 0.5, -1.0, 1.0)

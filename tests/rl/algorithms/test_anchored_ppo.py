@@ -53,6 +53,7 @@ def test_the_critic_is_fitted_until_it_gains_no_more_and_no_longer_than_asked(mo
     assert len(without_a_gain) < 12
 
 
+@pytest.mark.slow
 def test_the_distance_from_the_anchor_is_the_divergence_of_gaussians(model):
     observations = torch.as_tensor(np.stack([model.observation_space.sample() for _ in range(5)]))
     assert not model.distance_from_anchor(observations).any()

@@ -180,6 +180,7 @@ def test_hindsight_is_for_positions_and_targets_at_rest():
         assert examples_for(training, BcOptions()).hindsight == expected
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("name", WORLDS)
 def test_the_inverse_of_the_scale_gives_the_network_s_action_back(name):
     env, options = WORLDS[name]
@@ -246,6 +247,7 @@ def test_neither_the_order_of_boxes_nor_absent_ones_matter():
     torch.testing.assert_close(features(torch.as_tensor(shuffled)), features(torch.as_tensor(observations)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["ur3", "ur5", "ur10", "panda", "xarm7", "z1"])
 def test_arms_whose_first_axis_is_vertical_are_seen_in_its_frame(robot):
     from armctl.rl.networks.features import BaseYawInvariantFeatures

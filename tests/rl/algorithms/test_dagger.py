@@ -102,6 +102,7 @@ def test_a_privileged_teacher_has_a_pupil_who_sees_the_camera(tmp_path, unexport
     assert card.teacher == "bridge_ompl:prepared=false"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("teacher", ["reach_ik", "reach_mpc"])
 @pytest.mark.parametrize(("train", "recipe"), [(dagger, "reach_dagger"), (distil, "distil")])
 def test_a_teacher_that_takes_the_students_commands_for_its_own_is_refused(tmp_path, train, recipe, teacher):

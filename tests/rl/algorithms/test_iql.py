@@ -74,6 +74,7 @@ def fitted(drawn, steps, extractor=FlattenExtractor, **options):
     return actor
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extractor", [FlattenExtractor, LearnedFeatures])
 def test_it_does_what_was_good_among_what_was_done(extractor):
     rng = np.random.default_rng(1)
@@ -89,6 +90,7 @@ def test_it_does_what_was_good_among_what_was_done(extractor):
     assert np.abs(chosen[clear]).mean() > 0.4  # a clone's mean is 0
 
 
+@pytest.mark.slow
 def test_values_count_what_comes_later_unless_the_episode_ends():
     rng = np.random.default_rng(2)
     states = np.eye(3, dtype=np.float32)  # two steps to an end with a reward of 1

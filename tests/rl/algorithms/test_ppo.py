@@ -69,6 +69,7 @@ def test_training_leaves_a_runnable_agent_its_card_logs_curve_and_checkpoints(tr
     assert len(evaluate(str(out / "agent.json"), episodes=3)) == 3
 
 
+@pytest.mark.slow
 def test_exported_graph_is_the_network(trained):
     out, card = trained
     worlds = TaskVectorEnv(50, task=ReachTask)
@@ -79,6 +80,7 @@ def test_exported_graph_is_the_network(trained):
     np.testing.assert_allclose(load_agent(out / "agent.json", worlds).act(observations), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_exported_graph_tells_nothing_of_the_machine(trained):
     for graph in (trained[0] / "agent.onnx", Path(str(resources.files("armctl.rl.agents"))) / "reach_ppo.onnx"):
         assert b".py" not in graph.read_bytes()

@@ -53,6 +53,7 @@ def put(task):
     task.simulation.refresh()
 
 
+@pytest.mark.slow
 def test_each_reward_is_that_of_the_goals_and_of_objects_that_fell(played):
     worlds, buffer = played
     achieved, desired = (buffer.next_observations[name] for name in ("achieved_goal", "desired_goal"))

@@ -12,6 +12,7 @@ from armctl.rl.networks.world_model import Binned, Mish, Planner, Shares, WorldM
 from tests.rl.small_trainings import small
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("number", [-90.0, -1.0, 0.0, 0.3, 7.0, 100.0])
 def test_a_number_is_learned_by_its_bins(number):
     torch.manual_seed(0)
@@ -120,6 +121,7 @@ def test_a_training_gives_an_agent_that_plays_the_same_alone_and_among_others(tm
         observations = three.step(actions)[0]
 
 
+@pytest.mark.slow
 def test_mish_is_exported_as_the_same_function(monkeypatch):
     numbers = torch.linspace(-120, 120, 4801)
     expected = torch.nn.functional.mish(numbers)

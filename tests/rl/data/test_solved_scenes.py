@@ -104,6 +104,7 @@ def test_most_ways_are_near_only_to_what_is_near_at_their_ends(layouts, model):
     assert np.mean(wide) >= 0.6
 
 
+@pytest.mark.slow
 def test_followers_arrive_in_poses_and_some_begin_late(layouts, model):
     shapes, rows = ArmShapes(model), np.arange(len(layouts))
     states, positions, labels = follow(shapes, layouts, rows, np.random.default_rng(0), HOW)
@@ -133,6 +134,7 @@ def test_a_part_is_followed_again_with_other_noise_and_drawn_as_often_as_the_oth
     assert abs(actions - observations[:, 3:9]).max() <= HOW.largest_move + 1e-5
 
 
+@pytest.mark.slow
 def test_encoded_examples_are_those_of_states(layouts, model):
     worlds = TaskVectorEnv(1, task=ReachScenesTask)
     view, space = view_of(worlds, features="model"), worlds.single_observation_space

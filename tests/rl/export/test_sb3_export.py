@@ -17,7 +17,7 @@ register()
 SLOW = pytest.mark.slow
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "env", "name", "options"),
     [
@@ -127,6 +127,7 @@ def test_a_world_remembers_the_same_whatever_the_number_of_worlds(recurrent):
     assert not np.array_equal(load(1).act(shown[1][:1]), played[1][1]), "what it remembers matters"
 
 
+@pytest.mark.slow
 def test_an_agent_that_is_reset_acts_as_a_new_one(recurrent):
     _, _, load = recurrent("two LSTMs")
     shown, _ = observations("sb3/vector-push-v0", 4, 2)

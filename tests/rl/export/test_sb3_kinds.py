@@ -80,7 +80,7 @@ def with_spaces(path, content):
             archive.writestr(name, part)
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("content", UNREADABLE.values(), ids=UNREADABLE)
 def test_spaces_that_cannot_be_read_are_those_of_the_environment(content, tmp_path):
     model = make(PPO, "Pendulum-v1")

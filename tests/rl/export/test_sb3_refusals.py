@@ -103,6 +103,7 @@ def test_a_small_file_that_grows_is_not_unpacked(files, says, tmp_path, monkeypa
         sb3_file.read(path)
 
 
+@pytest.mark.slow
 def test_what_a_zip_file_claims_of_its_sizes_is_not_believed(sized, tmp_path):
     size = sized(128, 512) * 2**20
     path = zipped(tmp_path / "model.zip", {"data": size})
@@ -217,6 +218,7 @@ def test_an_agent_is_replaced_if_told_so(tmp_path):
     exported(model, "Pendulum-v1", tmp_path, "--overwrite")
 
 
+@pytest.mark.slow
 def test_an_agent_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     model = make(PPO, "Pendulum-v1")
     model.save(tmp_path / "model.zip")
@@ -229,6 +231,7 @@ def test_an_agent_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["model.zip"]
 
 
+@pytest.mark.slow
 def test_a_model_that_diverged_is_not_written(tmp_path):
     model = make(PPO, "Pendulum-v1")
     with torch.no_grad():

@@ -66,6 +66,7 @@ def test_it_sees_where_its_command_takes_the_end_effector(student):
     np.testing.assert_allclose(inputs[:, 15:-1], 0, atol=1e-4)  # the arm does not lag
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_estimates_of_a_moving_target_are_exact_without_noise_and_steady_with_it(student):
     rng = np.random.default_rng(1)
@@ -109,6 +110,7 @@ def test_estimates_of_boxes_are_means_of_all_readings_until_which_are_good_the_a
 LOST_IMAGES = {"dynamics": "kinematic", "observation": "ranges", "disturbances": {"dropout": 0.5}}
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     "changes",
     [

@@ -29,6 +29,7 @@ WORLDS = {
 }
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("features", ["none", "plain", "invariant"])
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_network_can_act_in_every_task(name, features):

@@ -95,7 +95,7 @@ def expected(name):
     return {**seen, "gradient_steps": seen["gradient_steps"] / networks}
 
 
-@pytest.mark.one_case
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECIPES)
 def test_each_learner_counts_what_it_spends(name, counted, tmp_path):
     card = train(name, tmp_path / "run")
@@ -105,6 +105,7 @@ def test_each_learner_counts_what_it_spends(name, counted, tmp_path):
     assert card.processor_seconds > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["reach_ppo", pytest.param("reach_sac", marks=pytest.mark.slow)])
 def test_a_resumed_training_counts_on(name, counted, tmp_path):
     first = train(name, tmp_path / "run")

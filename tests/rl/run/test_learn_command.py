@@ -64,6 +64,7 @@ def test_options_are_written_as_they_are_read():
     assert options_of(words[1::2]) == options
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -80,6 +81,7 @@ def test_a_mistake_leaves_no_folder(wrong, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_resuming_says_that_checkpoints_can_run_code(trained, tmp_path):
     warning = "Its checkpoints are pickles, which can run code: go on only if it is your own."
     (tmp_path / "there").mkdir()

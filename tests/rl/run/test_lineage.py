@@ -134,6 +134,7 @@ def train(tmp_path, monkeypatch, teacher, **options):
     return load_learner("bc")(recipe, out=tmp_path / "run" / "reach_bc-0", seed=0, progress=False)
 
 
+@pytest.mark.slow
 def test_a_training_gets_the_lineage_of_its_teacher(tmp_path, monkeypatch):
     """A learned one, whose card has a lineage itself; an expert has been tuned at most."""
     monkeypatch.setattr(Teacher, "show", shown)
@@ -180,6 +181,7 @@ def test_what_the_ledger_has_tried_before_is_on_the_card(tmp_path):
     assert tuning_before(tuned, 0, folder) == TuningCost(14, 67.5)
 
 
+@pytest.mark.slow
 def test_the_ledger_of_this_repository_tells_of_every_recipe_that_was_tuned():
     assert recorded_tuning("reach_sac").trials >= 26
     assert recorded_tuning("bridge_state_ppo") is None

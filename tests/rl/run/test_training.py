@@ -148,6 +148,7 @@ def test_training_plays_other_episodes_than_any_evaluation(tmp_path):
         assert training.first_seed(500) == 3 * 10**9 + 500
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize(
     ("changes", "says"),
     [

@@ -132,6 +132,7 @@ def test_a_narrow_gap_is_one_that_the_usual_clearance_closes(tmp_path):
     assert comparison.episodes.success.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "match"),
     [

@@ -28,6 +28,7 @@ def same(a, b):
     return np.array_equal(a, b)
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 @pytest.mark.parametrize("options", [{}, {"camera": "classes"}, {"observation": "state"}])
 def test_checkers_pass(env, options):
@@ -121,6 +122,7 @@ def test_every_world_is_the_single_environment_of_its_seed_bit_for_bit(env, opti
             over = terminated or truncated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_a_reset_after_violence_is_exact(env):
     worlds = batch(4, env, autoreset_mode="disabled")
@@ -191,6 +193,7 @@ def test_an_episode_depends_on_seed_and_number_alone():
     assert not same(env.reset(seed=4, options={"episode": 3})[0], first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -236,6 +239,7 @@ def test_actions_are_clipped():
     assert same(env.step((1e9, -1e9))[0], twin.step((2.0, -3.0))[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["depth", "classes", pytest.param("rgb", marks=pytest.mark.opengl)])
 def test_cameras_see_the_same_world(camera):
     env = gymnasium.make(STATIC, camera=camera)

@@ -90,6 +90,7 @@ def test_standing_still_times_out():
     assert reward == pytest.approx(-0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [STATIC, MOVING])
 def test_the_reward_is_its_ledger_and_progress_is_exact(env):
     worlds = batch(16, env, progress=2.0, autoreset_mode="disabled")

@@ -61,6 +61,7 @@ def play(env, command, limit=300):
     return "running", {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", ["physics", "kinematic"])
 def test_outcomes_are_those_of_physics(dynamics):
     empty = {"blocks": 0, "walkers": 0, "observation": "state", "dynamics": dynamics}

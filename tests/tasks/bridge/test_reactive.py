@@ -42,6 +42,7 @@ def played(policy_action=(0.0, 0.0), steps=100, n=4, seed=5, **options):
     return np.array([env.step(np.tile(policy_action, (n, 1)))[0] for _ in range(steps)]), env
 
 
+@pytest.mark.one_case
 @pytest.mark.parametrize("speed", [0.3, 1.2])
 @pytest.mark.parametrize("y", [0.0, 0.1, -0.4, 0.5])
 @pytest.mark.parametrize("way", [((-3, 0), (3, 0)), ((0, -1.1), (0, 1.1))])

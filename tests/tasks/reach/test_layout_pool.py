@@ -132,6 +132,7 @@ def test_each_seed_draws_from_its_part(seed, part):
         assert rows <= set(SHIPPED.parts[part])
 
 
+@pytest.mark.slow
 @given(SEEDS, st.booleans(), st.integers(0, 2**40))
 @settings(max_examples=30)
 def test_a_seed_goes_through_its_part_before_a_layout_comes_again(seed, solvable, begin):

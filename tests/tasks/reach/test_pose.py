@@ -26,6 +26,7 @@ def angles(observations):
     return np.array([np.linalg.norm(pinocchio.log3(a.T @ b)) for a, b in zip(tips, targets, strict=True)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["ur5", "panda", "z1"])
 def test_every_target_has_a_free_configuration_within_the_limits(robot):
     env = TaskVectorEnv(16, task=ReachPoseTask, robot=robot)
@@ -103,6 +104,7 @@ def test_an_arm_that_starts_in_the_position_has_not_reached_the_pose():
     assert not env.step(home[None])[2].any()
 
 
+@pytest.mark.slow
 def test_no_expert_beats_the_least_time_by_more_than_a_control_step():
     env = make_worlds(ENV, 12, options={})
     observations, _ = env.reset(seed=[3] * 12, options={"episode": np.arange(12)})

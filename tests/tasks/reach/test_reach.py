@@ -23,6 +23,7 @@ def expert_steps(env, seed):
         yield step
 
 
+@pytest.mark.slow
 def test_ledger_sums_to_the_reward_on_random_episodes():
     env = gymnasium.make_vec(ENV, num_envs=64, max_episode_steps=20, tolerance=0.3)
     env.reset(seed=0)
@@ -127,6 +128,7 @@ def test_progress_telescopes_over_an_episode():
         assert sum(step[1] for step in steps) == pytest.approx(start - end, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_arm_is_home_and_still_after_any_reset():
     env = TaskVectorEnv(50, task=ReachTask, control="torque", autoreset_mode="disabled")
     env.reset(seed=0)

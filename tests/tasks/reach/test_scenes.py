@@ -137,6 +137,7 @@ def test_a_feasible_problem_is_free_at_its_start_and_within_the_limits(robot):
         assert model.among(boxes_of(row, problems)).is_free(start)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "scene", "number"),
     [(UR5, "box", 1), (UR5, "cage", 2), (UR5, "table_under_pick", 3), (PANDA, "box", 1), (PANDA, "cage", 5)],
