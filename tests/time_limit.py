@@ -6,10 +6,10 @@ import sys
 import pytest
 from _pytest.runner import runtestprotocol
 
-QUICK_S = 1.5
+QUICK_S = 2.0
 """Processor time that an unmarked test may use, in seconds: its call and its own fixtures, with child processes."""
 
-QUICK_ON_A_BUSY_MACHINE_S = 2.5
+QUICK_ON_A_BUSY_MACHINE_S = 3.0
 """The same where other processes run beside it, which share caches and floating-point units."""
 
 processor_seconds = pytest.StashKey[float]()

@@ -27,6 +27,7 @@ def finished(tmp_path_factory):
     return sweep(POLICIES, pairs=PAIRS, disturbances={"payload": [20]}, episodes=3, seed=3, out=folder), folder
 
 
+@pytest.mark.slow
 def test_each_cell_is_a_comparison_with_both_disturbances(finished):
     result, _ = finished
     assert list(result.comparisons) == ["none", "payload-20.0", "delay-2.0+payload-5.0", "delay-2.0+payload-20.0"]

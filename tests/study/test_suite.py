@@ -65,6 +65,7 @@ def test_every_task_of_armctl_has_both_kinds_and_main_disturbances(size, monkeyp
     assert plan.total == (size.undisturbed_episodes or size.episodes) * undisturbed + size.episodes * sum(disturbed)
 
 
+@pytest.mark.slow
 def test_a_suite_may_play_more_episodes_undisturbed(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "FULL", SuiteSize(2, ("delay",), (0.25,), undisturbed_episodes=4))
     found = suite([MOVING], worlds=4, out=tmp_path)
@@ -93,6 +94,7 @@ def test_the_result_is_that_of_sweeps(finished):
     assert found.problems == []
 
 
+@pytest.mark.slow
 def test_what_is_read_back_is_what_was_found(finished):
     found, folder = finished
     again = read_study(folder)

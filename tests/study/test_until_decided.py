@@ -195,6 +195,7 @@ def test_each_level_of_a_sweep_stops_by_itself(swept):
     assert len(again.undisturbed.results) == again.undisturbed.resumed
 
 
+@pytest.mark.slow
 def test_changes_of_a_sweep_are_tested_at_any_number(swept):
     found, _ = swept
     points = found.points.set_index(["level", "policy"])
