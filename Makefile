@@ -11,7 +11,7 @@ PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv
 BIN := $(VENV)/bin
-# uv installs in a quarter of pip's time. It reads none of pip's settings; these two name where packages are, such as a mirror.
+# uv installs in less than half of pip's time. It reads none of pip's settings; these two name where packages are, such as a mirror.
 ifdef PIP_INDEX_URL
 export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
 endif

@@ -7,7 +7,8 @@ import numpy as np
 from armctl.kernels.compiling import compiled
 
 TOGETHER = 24
-"""Values after which logarithms are taken: a product of so many growths, below 1e12 each, is a number."""
+"""Values after which logarithms are taken: a product of so many growths, below 1e12 each for means from 1e-12 on, is a
+number."""
 
 
 @compiled
