@@ -145,3 +145,15 @@ def test_the_commands_write_it_and_say_where(tmp_path):
     )
     missing = armctl("report", "elsewhere", cwd=tmp_path, check=False)
     assert (missing.returncode, "there is no folder elsewhere" in missing.stderr) == (2, True)
+
+
+@pytest.mark.slow
+def test_the_page_of_what_was_played_is_that_of_the_folder(tmp_path):
+    armctl("suite", "--quick", "--episodes", "2", "--env", "armctl/ArmReach-v0", "--out", "here", cwd=tmp_path)
+    pages = [page.name for page in (tmp_path / "here").glob("*.html")]
+    (tmp_path / "again").mkdir()
+    armctl("report", "here", "--out", "again/report.html", "--no-video", cwd=tmp_path)
+    assert sorted(pages) == ["ArmReach-v0.html", "report.html"]
+    for name in pages:
+        played, read = ((tmp_path / folder / name).read_text() for folder in ("here", "again"))
+        assert played.partition("<footer>")[0] == read.partition("<footer>")[0]
