@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from io import BytesIO
@@ -272,6 +273,21 @@ def test_uploads_and_long_messages_do_not_fill_the_memory(tmp_path):
                 for _ in range(24):
                     panel.send(bytes(2**26))
             assert memory(process) - before < 2**26
+
+
+@pytest.mark.slow
+def test_pages_that_are_closed_while_states_are_sent_leave_the_terminal_clean(tmp_path):
+    with viewing(tmp_path, "random") as (_, address, port):
+        token = address.partition("=")[2]
+
+        def reload(page):
+            for visit in range(60):
+                with connect(f"ws://localhost:{port}/state?sid={page}&token={token}", proxy=None) as states:
+                    states.recv(timeout=60)
+                    time.sleep(0.001 * (visit % 20))
+
+        with ThreadPoolExecutor(6) as pages:
+            list(pages.map(reload, range(6)))
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from mujoco.studio import launch_thread, messages, plugin, sim, viewer_protocol, web_viewer
 from numpy.typing import NDArray
+from websockets.exceptions import ConnectionClosed
 
 from armctl.core.errors import ArmctlError, ConfigurationError
 from armctl.envs import ThirdPartyVectorEnv
@@ -196,8 +197,14 @@ class LoopbackViewer(web_viewer.WebViewer):
         self._tcp_sock = OwnProcessListener(fileno=self._tcp_sock.detach())
         self.guard = Guard(port)
         logging.getLogger("WebServer").addFilter(lambda record: record.levelno >= logging.WARNING)
+        logging.getLogger("asyncio").addFilter(lambda record: not _is_of_a_closed_page(record))
         with guarded(self.guard):
             super()._start_server()
+
+
+def _is_of_a_closed_page(record: logging.LogRecord) -> bool:
+    """True for the traceback of a state that Studio was sending to a page when that was closed or loaded again."""
+    return record.exc_info is not None and isinstance(record.exc_info[1], ConnectionClosed)
 
 
 @contextmanager
