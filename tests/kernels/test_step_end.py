@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from armctl.kernels.compiling import bound
-from armctl.kernels.step_end import RUNNING, TIMEOUT, Episodes, Rules, end_step
+from armctl.kernels.step_end import RUNNING, TIMEOUT, Episodes, Rules, StepResults, end_step
 
 N, TERMS = 7, 3
 SUCCESSES = np.array([False, True, False, False])
@@ -34,15 +34,16 @@ def reference(episodes, terms, outcomes):
     return terms, rewards, terminated, truncated, ends & SUCCESSES[outcomes], np.where(ends, outcomes, RUNNING)
 
 
-def results():
-    return np.empty(N), *np.empty((3, N), dtype=bool)
+def empty_results():
+    return StepResults(np.zeros((TERMS, N)), np.zeros(N, np.int64), np.zeros(N), np.zeros((3, N), bool))
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_ends_and_rewards_are_those_of_the_reference(seed):
     rng = np.random.default_rng(seed)
     compiled, plain = fresh_episodes(), fresh_episodes()
-    arguments = bound((compiled, RULES))
+    results = empty_results()
+    arguments = bound((compiled, RULES, results))
     ends = set[int]()
     for _ in range(40):
         terms = rng.integers(-2, 3, (TERMS, N)).astype(float)
@@ -54,13 +55,14 @@ def test_ends_and_rewards_are_those_of_the_reference(seed):
             episodes.steps[begins] = 0
             episodes.paid_terms[:, begins] = False
         expected = reference(plain, terms, outcomes)
-        rewards, terminated, truncated, successes = results()
-        assert end_step(arguments, terms, outcomes, rewards, terminated, truncated, successes)
-        for value, right in zip((terms, rewards, terminated, truncated, successes, outcomes), expected, strict=True):
+        results.terms[:], results.outcomes[:] = terms, outcomes
+        assert end_step(arguments)
+        found = results.terms, results.rewards, *results.ends, results.outcomes
+        for value, right in zip(found, expected, strict=True):
             np.testing.assert_array_equal(value, right)
         for value, right in zip(compiled, plain, strict=True):
             np.testing.assert_array_equal(value, right)
-        ends |= set(outcomes.tolist())
+        ends |= set(results.outcomes.tolist())
     assert ends == {RUNNING, TIMEOUT, 1, 2, UNSTABLE}
 
 
@@ -69,11 +71,10 @@ def test_ends_and_rewards_are_those_of_the_reference(seed):
 )
 def test_no_number_and_no_outcome_are_refused_except_where_nothing_counts(term, outcome):
     def is_valid(finished):
-        episodes = fresh_episodes()
+        episodes, results = fresh_episodes(), empty_results()
         episodes.finished[3] = finished
-        terms, outcomes = np.zeros((TERMS, N)), np.zeros(N, np.int64)
-        terms[0, 3], outcomes[3] = term, outcome
-        return end_step(bound((episodes, RULES)), terms, outcomes, *results())
+        results.terms[0, 3], results.outcomes[3] = term, outcome
+        return end_step(bound((episodes, RULES, results)))
 
     assert not is_valid(False)
     assert is_valid(True)

@@ -233,6 +233,10 @@ class EpisodeVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         expected = (self.num_envs, *(self.single_action_space.shape or ()))
         if checked.shape != expected:
             raise InvalidAction(f"actions have shape {checked.shape}; expected {expected}")
+        return self._finite(checked)
+
+    def _finite(self, checked: Array) -> Array:
+        """Return actions that are finite. Raises `InvalidAction` if one is not."""
         if np.count_nonzero(np.isfinite(checked)) < checked.size:
             worlds = np.flatnonzero(~np.isfinite(checked).reshape(self.num_envs, -1).all(axis=1))
             raise InvalidAction(

@@ -12,6 +12,8 @@ from armctl.core.errors import InvalidAction
 
 def one_of(observations: Observations, world: int) -> Any:
     """Return the observation of one world."""
+    if isinstance(observations, np.ndarray):
+        return observations[world]
     return map_arrays(lambda values: values[world], observations)
 
 

@@ -54,7 +54,8 @@ class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
         numbers = action_numbers(action)
         if numbers.shape != self.action_space.shape:
             raise InvalidAction(f"the action has shape {numbers.shape}; expected {self.action_space.shape}")
-        observations, rewards, terminated, truncated, infos = self.worlds.step(numbers[None])
+        actions = self.worlds._finite(numbers[None])
+        observations, rewards, terminated, truncated, infos = self.worlds._step(actions)
         if self.render_mode == "human":
             self.render()
         ends = bool(terminated[0]), bool(truncated[0])

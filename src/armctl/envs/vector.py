@@ -25,7 +25,7 @@ from armctl.envs.observations import with_replaced
 from armctl.envs.outcomes import ERROR, UNSTABLE
 from armctl.envs.pickling import MadeAgain
 from armctl.kernels.compiling import Bound, bound
-from armctl.kernels.step_end import RUNNING, Episodes, Rules, end_step
+from armctl.kernels.step_end import RUNNING, Episodes, Rules, StepResults, end_step
 from armctl.simulation.planning_model import PlanningModel, rescaled
 from armctl.simulation.rendering import Camera, Window
 from armctl.tasks import Observations, RewardTerms, Task
@@ -146,7 +146,11 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
         self._check_seeded()
-        commands = self._disturbed_commands(self._physical(self._checked_numbers(actions)))
+        return self._step(self._checked_numbers(actions))
+
+    def _step(self, actions: Array) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """Step with actions that have been checked."""
+        commands = self._disturbed_commands(self._physical(actions))
         awake = ~self._finished
         restart = np.flatnonzero(self._finished) if np.count_nonzero(awake) < self.num_envs else None
         self.task.command(commands)
@@ -192,17 +196,20 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
 
     def _end_step(self) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Return rewards, which episodes terminate and are truncated, and infos. Raises `EnvironmentFailed`."""
-        terms, outcomes = self.task.reward_terms(), np.array(self.task.outcome(), dtype=np.int64)
-        rewards, terminated, truncated, successes = np.empty(self.num_envs), *np.empty((3, self.num_envs), dtype=bool)
-        if tuple(terms) != self._reward_names or outcomes.shape != rewards.shape:
+        terms, outcomes, results = self.task.reward_terms(), np.asarray(self.task.outcome()), self._results
+        if tuple(terms) != self._reward_names or outcomes.shape != results.outcomes.shape:
             raise EnvironmentFailed(
                 f"the task's reward terms are {', '.join(terms)} and its outcomes {outcomes.shape}; expected "
-                f"{', '.join(self._reward_names)} and {rewards.shape}"
+                f"{', '.join(self._reward_names)} and {results.outcomes.shape}"
             )
-        payments = np.array([*terms.values()], dtype=float).reshape(len(terms), self.num_envs)
-        if not end_step(self._bound, payments, outcomes, rewards, terminated, truncated, successes):
-            self._refuse(outcomes, dict(zip(terms, payments, strict=True)))
-        return rewards, terminated, truncated, self._step_infos(successes, outcomes, payments)
+        for row, term in zip(self._term_rows, terms.values(), strict=True):
+            row[...] = term
+        results.outcomes[...] = outcomes
+        if not end_step(self._bound):
+            self._refuse(outcomes, dict(zip(terms, results.terms, strict=True)))
+        terminated, truncated, successes = results.ends.copy()
+        infos = self._step_infos(successes, results.outcomes.copy(), results.terms.copy())
+        return results.rewards.copy(), terminated, truncated, infos
 
     def _infos(self) -> Infos:
         terms = np.zeros((len(self._reward_names), self.num_envs))
@@ -261,11 +268,14 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             self.outcomes.index(UNSTABLE),
             np.array([*(outcome.success for outcome in outcomes), False], dtype=bool),
         )
-        self._reward_names, self._paid_terms = names, np.zeros((len(names), self.num_envs), dtype=bool)
-        unstable: NDArray[np.bool_] = self.task.simulation.unstable
-        self._bound: Bound = bound(
-            (Episodes(self._steps, self.clock, self._finished, unstable, self._paid_terms), rules)
+        n, unstable = self.num_envs, self.task.simulation.unstable
+        self._reward_names, self._paid_terms = names, np.zeros((len(names), n), dtype=bool)
+        self._results = StepResults(
+            np.zeros((len(names), n)), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros((3, n), dtype=bool)
         )
+        self._term_rows = [*self._results.terms]
+        episodes = Episodes(self._steps, self.clock, self._finished, unstable, self._paid_terms)
+        self._bound: Bound = bound((episodes, rules, self._results))
 
     def _refuse(self, outcomes: NDArray[np.int64], terms: RewardTerms) -> None:
         """Raise `EnvironmentFailed` for a term that is too large or not a number, or an outcome that there is not."""

@@ -157,6 +157,20 @@ def touches(links, pairs, on_floor, boxes, ends):
 
 
 @compiled
+def base_distance(links, position):
+    """Return the distance (m) of a position (3,) from the links that do not move; infinite if there are none."""
+    distance, segment, point = np.inf, np.empty((2, 3)), np.empty((2, 3))
+    for i in range(3):
+        point[:, i] = position[i]
+    for link in links:
+        if link.joint == 0:
+            copy_to(link.start, segment[0])
+            copy_to(link.end, segment[1])
+            distance = min(distance, segments_distance(segment, point) - link.radius)
+    return distance
+
+
+@compiled
 def are_free(joints, links, pairs, on_floor, boxes, q, free):
     """Compute for each of q (n, dof) whether the arm touches nothing."""
     rotations, origins = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3))
@@ -165,6 +179,17 @@ def are_free(joints, links, pairs, on_floor, boxes, q, free):
         forward(joints, q[row], rotations, origins)
         place(links, rotations, origins, ends)
         free[row] = not touches(links, pairs, on_floor, boxes, ends)
+
+
+@compiled
+def are_usable(joints, links, pairs, on_floor, boxes, q, usable):
+    """Compute for each of q (n, dof) whether it is within the joint limits, and the arm touches nothing."""
+    for row in range(len(q)):
+        usable[row] = True
+        for i in range(q.shape[1]):
+            usable[row] = usable[row] and joints[i].lower <= q[row, i] <= joints[i].upper
+        if usable[row]:
+            are_free(joints, links, pairs, on_floor, boxes, q[row : row + 1], usable[row : row + 1])
 
 
 @compiled

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.kernels import mujoco_library as mj
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, inlined
 from armctl.kernels.drives import drive_joints
 from armctl.kernels.target_distance import angle_between, distance_as_observed
 
@@ -48,6 +48,8 @@ class StepBuffers(NamedTuple):
     """Fields copied out after a control step, (k, 3): address in the data, bytes of a row, address of the first."""
     kinematic: bool
     """True if outputs and sensors depend on positions, velocities and contacts only, and not on forces."""
+    last_state: Array
+    """State (k,) that the data has after a control step, with what the next one begins with; (0,): none is kept."""
 
 
 class Worlds(NamedTuple):
@@ -161,7 +163,7 @@ class Clock(NamedTuple):
     """Column of the state with the time."""
 
 
-@compiled
+@inlined
 def was_hit_hard(impact, state, sensors):
     """Return True if a column of the state (k,) is out of its bounds or not a number, or a contact is deep."""
     usual = sensors[impact.depth] > -impact.deepest
@@ -186,7 +188,7 @@ def step_finely(buffers, impact, steps):
         mj.forward(buffers.model, buffers.data)
 
 
-@compiled
+@inlined
 def sense(buffers):
     """Compute sensors and outputs of a state from which no step follows: what a step begins with, without forces."""
     if buffers.kinematic:
@@ -199,7 +201,7 @@ def sense(buffers):
         mj.begin_step(buffers.model, buffers.data)
 
 
-@compiled
+@inlined
 def is_unstable(buffers):
     """Return True if MuJoCo has warned (counts start at 1), or its numbers are too large or not finite."""
     stable = True
@@ -212,7 +214,7 @@ def is_unstable(buffers):
     return not stable
 
 
-@compiled
+@inlined
 def drive(buffers, drives, world, positions, period):
     """Set the commands of motors for a tick of `period` s. `positions` (dof,) is room for those of the joints."""
     for i in range(len(positions)):
@@ -223,7 +225,7 @@ def drive(buffers, drives, world, positions, period):
     )  # fmt: skip
 
 
-@compiled
+@inlined
 def make_steps(buffers, substeps, is_current, is_last):
     """Make `substeps` physics steps.
 
@@ -263,7 +265,7 @@ def record_contacts(contacts, world, row, since):
                 contacts.touched[world, i] = True
 
 
-@compiled
+@inlined
 def sample(buffers, samples, target_query, world, tick_number):
     """Record speeds, torques and the distance after a tick. Returns whether the body is at its target."""
     for k in range(len(samples.dofs)):
@@ -283,58 +285,63 @@ def sample(buffers, samples, target_query, world, tick_number):
     return distance <= target_query.tolerance
 
 
-@compiled
-def tick(arguments, world, k, memory):
-    """Make tick `k` of a world, with its state after it in `worlds.state`. Returns whether all is stable.
-
-    `arguments` are those that are bound; `memory` is room for a state and the positions of joints.
-    """
-    clock, buffers, worlds, impact, parts = arguments
-    (next_state, positions), row = memory, worlds.state[world]
-    period, moving = clock.timestep * clock.substeps, len(parts.poses.bodies) > 0
-    if moving:
-        move(buffers, parts.poses, world, k)
-    drive(buffers, parts.drives, world, positions, period)
-    make_steps(buffers, clock.substeps, k > 0 and not moving, k == clock.ticks - 1 or moving)
-    mj.get_state(buffers.model, buffers.data, next_state.ctypes.data, STATE)
-    hit = was_hit_hard(impact, next_state, buffers.sensors)
-    if hit:
+@inlined
+def load(buffers, row, world):
+    """Put the data into the state `row` of a world. Returns whether it was there, with what a step begins with."""
+    fields, kept = buffers.world_fields, buffers.last_state
+    is_current = len(kept) > 0 and mj.compare(row.ctypes.data, kept.ctypes.data, row.nbytes) == 0
+    for i in range(len(fields)):
+        first, size, field, finer_field = fields[i]
+        is_current = is_current and mj.compare(first + world * size, field, size) == 0
+        mj.copy(field, first + world * size, size)
+        mj.copy(finer_field, first + world * size, size)
+    if not is_current:
         mj.set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
-        drive(buffers, parts.drives, world, positions, period)
-        step_finely(buffers, impact, clock.substeps * impact.steps)
-        mj.get_state(buffers.model, buffers.data, next_state.ctypes.data, STATE)
-        worlds.refined[world] += 1
-    stable = not is_unstable(buffers)
-    if not stable:
-        good = worlds.good[world] if k == 0 else row
-        mj.set_state(buffers.model, buffers.data, good.ctypes.data, STATE)
-        mj.forward(buffers.model, buffers.data)
-        mj.get_state(buffers.model, buffers.data, next_state.ctypes.data, STATE)
-    elif hit:
-        record_contacts(parts.contacts, world, next_state, row[clock.column] - ROUNDING)
-    mj.copy(row.ctypes.data, next_state.ctypes.data, row.nbytes)
-    return stable
+    return is_current
 
 
 @compiled
 def control_steps(ids, bound):
-    """Advance worlds `ids` by a control step. Bound are `Clock`, `StepBuffers`, `Worlds`, `HardImpact` and `Parts`."""
-    clock, buffers, worlds, _, parts = bound.arguments
-    memory = np.empty(worlds.state.shape[1]), np.empty(len(parts.drives.joints))
+    """Advance worlds `ids` by a control step. Bound are `Clock`, `StepBuffers`, `Worlds`, `HardImpact` and `Parts`.
+
+    All is one function: `bound.arguments`, given to another one at each tick, take 2 us more each time.
+    """
+    clock, buffers, worlds, impact, parts = bound.arguments
+    model, data, moving = buffers.model, buffers.data, len(parts.poses.bodies) > 0
+    period = clock.timestep * clock.substeps
+    next_state, positions = np.empty(worlds.state.shape[1]), np.empty(len(parts.drives.joints))
     for world in ids:
-        row = worlds.state[world]
-        for i in range(len(buffers.world_fields)):
-            first, size, field, finer_field = buffers.world_fields[i]
-            mj.copy(field, first + world * size, size)
-            mj.copy(finer_field, first + world * size, size)
-        mj.set_state(buffers.model, buffers.data, row.ctypes.data, STATE)
+        row, good = worlds.state[world], worlds.good[world]
+        is_current = load(buffers, row, world)
         worlds.refined[world], standing = 0, False
         for k in range(clock.ticks):
             if not standing:
-                worlds.unstable[world] = standing = not tick(bound.arguments, world, k, memory)
+                if moving:
+                    move(buffers, parts.poses, world, k)
+                drive(buffers, parts.drives, world, positions, period)
+                is_last = k == clock.ticks - 1 and not len(buffers.last_state)
+                make_steps(buffers, clock.substeps, is_current and not moving, is_last or moving)
+                is_current = True
+                mj.get_state(model, data, next_state.ctypes.data, STATE)
+                hit = was_hit_hard(impact, next_state, buffers.sensors)
+                if hit:
+                    mj.set_state(model, data, row.ctypes.data, STATE)
+                    drive(buffers, parts.drives, world, positions, period)
+                    step_finely(buffers, impact, clock.substeps * impact.steps)
+                    mj.get_state(model, data, next_state.ctypes.data, STATE)
+                    worlds.refined[world] += 1
+                worlds.unstable[world] = standing = is_unstable(buffers)
+                if standing:
+                    mj.set_state(model, data, good.ctypes.data if k == 0 else row.ctypes.data, STATE)
+                    mj.forward(model, data)
+                    mj.get_state(model, data, next_state.ctypes.data, STATE)
+                elif hit:
+                    record_contacts(parts.contacts, world, next_state, row[clock.column] - ROUNDING)
+                mj.copy(row.ctypes.data, next_state.ctypes.data, row.nbytes)
             if sample(buffers, parts.samples, parts.target_query, world, k):
                 standing = True
-        mj.copy(worlds.good[world].ctypes.data, row.ctypes.data, row.nbytes)
+        mj.copy(good.ctypes.data, row.ctypes.data, row.nbytes)
+        mj.copy(buffers.last_state.ctypes.data, row.ctypes.data, buffers.last_state.nbytes)
         for i in range(len(buffers.outputs)):
             field, size, first = buffers.outputs[i]
             mj.copy(first + world * size, field, size)

@@ -22,3 +22,4 @@ sense_positions, sense_velocities = _of_model_and_data("mj_sensorPos"), _of_mode
 get_state = types.ExternalFunction("mj_getState", types.void(types.intp, types.intp, types.intp, types.int32))
 set_state = types.ExternalFunction("mj_setState", types.void(types.intp, types.intp, types.intp, types.int32))
 copy = types.ExternalFunction("memcpy", types.intp(types.intp, types.intp, types.intp))
+compare = types.ExternalFunction("memcmp", types.int32(types.intp, types.intp, types.intp))

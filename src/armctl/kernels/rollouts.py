@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from armctl.core.arrays import Array
 from armctl.kernels.arm import forward, tip_of
 from armctl.kernels.capsules import place
-from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.compiling import compiled, copy_to, inlined
 from armctl.kernels.drives import follow_all
 from armctl.kernels.edges import NEAR_START, Scene, cruise_time, measure_all
 from armctl.kernels.imagined_arm import ARRIVED, MOVING, TOUCHED, keeps_margins, use_up
@@ -79,7 +79,7 @@ def is_near(first, second, distance):
     return True
 
 
-@compiled
+@inlined
 def move(arm, goal, target, memory):
     """Move an arm for a period towards a goal (dof,); return what comes of it, and its distance (m) from the target."""
     q, speed, moved, margins, slack, rotations, origins, ends, tip = memory
@@ -107,7 +107,7 @@ def move(arm, goal, target, memory):
     return MOVING, distance
 
 
-@compiled
+@inlined
 def reach_cost(arm, goals, memory):
     """Return the cost of goals (horizon, dof)."""
     cost, distance, passed, last = 0.0, 0.0, 0, len(arm.way) - 1

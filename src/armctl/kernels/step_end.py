@@ -45,14 +45,27 @@ class Rules(NamedTuple):
     """Success of each outcome."""
 
 
-@compiled
-def end_step(bound, terms, outcomes, rewards, terminated, truncated, successes):
-    """Count a control step, and compute its `rewards`, and which episodes end, (n,) each. Bound: `Episodes`, `Rules`.
+class StepResults(NamedTuple):
+    """Results of a control step in n worlds, whose terms and outcomes are the task's before."""
 
-    In place, reward `terms` (k, n) become what is paid, and `outcomes` (n,) become `RUNNING` where episodes go on.
+    terms: Array
+    """(k, n) reward terms, and then what is paid of them."""
+    outcomes: NDArray[np.int64]
+    """(n,) the task's, and then `RUNNING` where episodes go on."""
+    rewards: Array
+    """(n,)"""
+    ends: NDArray[np.bool_]
+    """(3, n): terminated, truncated, successful."""
+
+
+@compiled
+def end_step(bound):
+    """Count a control step, and compute its results. Bound are `Episodes`, `Rules` and `StepResults`.
+
     Returns False if a term is too large or not a number, or if there is no such outcome.
     """
-    episodes, rules = bound.arguments
+    episodes, rules, (terms, outcomes, rewards, ends) = bound.arguments
+    terminated, truncated, successes = ends[0], ends[1], ends[2]
     valid = True
     for i in range(len(outcomes)):
         episodes.steps[i] += 1
@@ -73,9 +86,9 @@ def end_step(bound, terms, outcomes, rewards, terminated, truncated, successes):
         valid = valid and 0 <= outcomes[i] < len(rules.successes)
         terminated[i] = outcomes[i] != TIMEOUT
         truncated[i] = not was_finished and not terminated[i] and episodes.steps[i] >= rules.max_steps
-        ends = terminated[i] or truncated[i]
-        successes[i] = ends and valid and rules.successes[outcomes[i]]
-        episodes.finished[i] = was_finished or ends
-        if not ends:
+        has_ended = terminated[i] or truncated[i]
+        successes[i] = has_ended and valid and rules.successes[outcomes[i]]
+        episodes.finished[i] = was_finished or has_ended
+        if not has_ended:
             outcomes[i] = RUNNING
     return valid

@@ -179,8 +179,7 @@ class Ik:
         what the core of armctl installs.
         """
         for q in self.configurations(position):
-            within = q[self.model.within_limits(q)]
-            yield from within[self.model.are_free(within)]
+            yield from q[self.model.are_usable(q)]
 
     def configurations(self, position: Array) -> Iterator[Array]:
         """Yield the same in groups (k, dof), in collision or not; joints may exceed their limits by whole turns."""

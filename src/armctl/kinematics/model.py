@@ -2,6 +2,7 @@
 
 import copy
 import math
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -127,10 +128,11 @@ class ArmModel:
 
     def are_free(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Return (n,) whether each of q (n, dof) is collision-free."""
-        rows = self._rows(q)
-        free = np.empty(len(rows), dtype=bool)
-        capsules.are_free(self.joints, self.links, self.link_pairs, self.floor_links, self._boxes, rows, free)
-        return free
+        return self._checked(q, capsules.are_free)
+
+    def are_usable(self, q: ArrayLike) -> NDArray[np.bool_]:
+        """Return (n,) whether each of q (n, dof) is collision-free and within the position limits."""
+        return self._checked(q, capsules.are_usable)
 
     def box_distances(self, q: ArrayLike, boxes: Boxes) -> Array:
         """Return the distance (k,) m of each box from the whole arm at `q` (dof,): 0 or below in contact."""
@@ -140,13 +142,7 @@ class ArmModel:
 
     def base_distance(self, position: ArrayLike) -> float:
         """Return the distance (m) of `position` (3,) from the arm's fixed links; infinite if they have no shape."""
-        point = np.array((position, position), dtype=float)
-        fixed = self.links[self.links["joint"] == 0]
-        ends = np.stack((fixed["start"], fixed["end"]), axis=1)
-        distances = (
-            capsules.segments_distance(link, point) - radius for link, radius in zip(ends, fixed["radius"], strict=True)
-        )
-        return min(distances, default=np.inf)
+        return float(capsules.base_distance(self.links, np.asarray(position, dtype=float)))
 
     def within_limits(self, q: Array) -> NDArray[np.bool_]:
         """Return (...) whether all joints of q (..., dof) are within their position limits."""
@@ -237,6 +233,12 @@ class ArmModel:
             column[:3] if name in sliding else column[3:]
             for name, column in zip(list(model.names)[1:], columns, strict=True)
         ])  # fmt: skip
+
+    def _checked(self, q: ArrayLike, check: Callable[..., None]) -> NDArray[np.bool_]:
+        rows = self._rows(q)
+        results = np.empty(len(rows), dtype=bool)
+        check(self.joints, self.links, self.link_pairs, self.floor_links, self._boxes, rows, results)
+        return results
 
     def _rows(self, q: ArrayLike) -> Array:
         """Return a batch (..., dof) as (n, dof), the one layout for which kernels are compiled."""

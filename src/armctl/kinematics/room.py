@@ -35,7 +35,7 @@ def room(model: ArmModel, q: Array, distance: float) -> Array:
     moved = approach(model, start, places, ITERATIONS)
     reached = np.linalg.norm(model.positions(moved) - places, axis=1) < MISS
     near = np.abs(moved - start).max(axis=1) < LARGEST_MOVE
-    usable = reached & near & model.within_limits(moved) & model.are_free(moved)
+    usable = reached & near & model.are_usable(moved)
     return np.asarray(usable.reshape(len(q), -1).mean(axis=1))
 
 

@@ -153,6 +153,7 @@ class Stepper:
             world_fields=np.array(rows, dtype=np.intp).reshape(-1, 4),
             outputs=np.array(outputs, dtype=np.intp).reshape(-1, 3),
             kinematic=self._outputs.keys() <= _KINEMATIC and _has_kinematic_sensors(model),
+            last_state=np.full(self._worlds.state.shape[1] if len(self._worlds.state) == 1 else 0, np.nan),
         )
 
 

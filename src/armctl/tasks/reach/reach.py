@@ -209,13 +209,14 @@ class ReachTask(Task):
 
     def observe(self, ids: Ids | None = None) -> Observations:
         """Return observations (n, k): the parts side by side; with `goal`, a dict of these and both goals."""
-        worlds = slice(None) if ids is None else ids
-        observation = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)[worlds]
-        if not self.options.goal:
-            return observation
-        places = (self.state.end_effector_position, self.state.target_position)
-        goals = {name: place.astype(np.float32)[worlds] for name, place in zip(GOAL_SPACES, places, strict=True)}
-        return {"observation": observation, **goals}
+        parts = list(self.observation_parts().values())
+        observations: dict[str, NDArray[Any]] = {"observation": np.concatenate(parts, axis=1, dtype=np.float32)}
+        if self.options.goal:
+            places = (self.state.end_effector_position, self.state.target_position)
+            observations |= {name: place.astype(np.float32) for name, place in zip(GOAL_SPACES, places, strict=True)}
+        if ids is not None:
+            observations = {name: values[ids] for name, values in observations.items()}
+        return observations if self.options.goal else observations["observation"]
 
     def reward_terms(self) -> RewardTerms:
         """Return the terms of `ReachOptions.reward`."""
@@ -328,7 +329,8 @@ class ReachTask(Task):
         np.copyto(self._target_query.targets[0], self._targets)
 
     def _update_state(self, action: Array) -> None:
-        self.state: ReachState = self.state_type(**self._state_values(action))
+        values, self.state = self._state_values(action), object.__new__(self.state_type)
+        vars(self.state).update(values)  # without `__init__`: that of a frozen class takes 2 us
 
     def _state_values(self, action: Array) -> dict[str, Any]:
         """Return the fields of `state_type`."""
