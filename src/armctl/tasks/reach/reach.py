@@ -48,8 +48,8 @@ from armctl.tasks.task import (
 )
 
 CONTROL_PERIOD = 0.04
-TICKS = round(CONTROL_PERIOD / TICK)
 """Seconds between control steps: 25 Hz."""
+TICKS = round(CONTROL_PERIOD / TICK)
 GOAL_SPACES = "achieved_goal", "desired_goal"
 """End-effector and target, (3,) m each: what a goal-conditioned learner gets beside the observation."""
 
@@ -69,7 +69,7 @@ class ReachTask(Task):
     options_type: ClassVar[type[Any]] = ReachOptions
     outcomes: ClassVar[type[Outcome]] = ReachOutcome
     possible_outcomes: ClassVar[tuple[Outcome, ...]] = (ReachOutcome.REACHED, ReachOutcome.TIMEOUT)
-    state_type: ClassVar[type[Any]] = ReachState
+    state_type: ClassVar[type[ReachState]] = ReachState
     instruction: ClassVar[str] = "Move the end-effector to the target."
     default_policies: ClassVar[tuple[str, ...]] = ("reach_ik", "reach_ppo", "random")
     disturbances = ARM
