@@ -76,7 +76,8 @@ class Stepper:
 
     def step(self, ids: NDArray[np.int32], ticks: int, substeps: int, parts: Parts = NO_PARTS) -> None:
         """Advance worlds `ids` by `ticks` of `substeps` physics steps each, with outputs of the new state."""
-        self._worlds.refined[:] = 0
+        if len(ids) < len(self._worlds.refined):
+            self._worlds.refined[:] = 0
         arguments = self._bound_to(ticks, substeps, parts)[: max(1, len(ids))]
         clock, CLOCK.value = CLOCK.value, None
         try:

@@ -326,7 +326,7 @@ class ReachTask(Task):
 
     def _place_targets(self, ids: Ids | None) -> None:
         """Set where the targets are after each tick of the next control step of these worlds."""
-        np.copyto(self._target_query.targets[0], self._targets)
+        self._target_query.targets[0] = self._targets
 
     def _update_state(self, action: Array) -> None:
         values, self.state = self._state_values(action), object.__new__(self.state_type)
