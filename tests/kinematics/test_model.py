@@ -120,6 +120,17 @@ def test_home_is_free(model):
     assert model.is_free(model.home)
 
 
+def test_usable_is_free_and_within_the_limits_whose_ends_count(model):
+    lower, upper = model.limits.lower, model.limits.upper
+    q = np.random.default_rng(1).uniform(lower - 0.2, upper + 0.2, (400, model.dof))
+    q[:100] = np.clip(q[:100], lower, upper)
+    q[100, 0] = np.nan
+    expected = model.within_limits(q) & model.are_free(q)
+    np.testing.assert_array_equal(model.are_usable(q), expected)
+    assert 0 < expected[:100].sum() < 100
+    assert not expected[100]
+
+
 def test_base_distance_is_that_to_the_base_capsules(model):
     frames = {frame.name: frame for frame in model.pinocchio.frames}
     fixed = [capsule for capsule in model.description.capsules if frames[capsule.link].parentJoint == 0]
