@@ -202,7 +202,7 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
                 f"the task's reward terms are {', '.join(terms)} and its outcomes {outcomes.shape}; expected "
                 f"{', '.join(self._reward_names)} and {results.outcomes.shape}"
             )
-        for row, term in zip(self._term_rows, terms.values(), strict=True):
+        for row, term in zip(results.terms, terms.values(), strict=True):
             row[...] = term
         results.outcomes[...] = outcomes
         if not end_step(self._bound):
@@ -273,7 +273,6 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         self._results = StepResults(
             np.zeros((len(names), n)), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros((3, n), dtype=bool)
         )
-        self._term_rows = [*self._results.terms]
         episodes = Episodes(self._steps, self.clock, self._finished, unstable, self._paid_terms)
         self._bound: Bound = bound((episodes, rules, self._results))
 

@@ -34,7 +34,7 @@ class Workspace:
         low, high = self.centre - self.radius, self.centre + self.radius
         low[2] = min(clearance, high[2])
         for _ in range(0 if self.is_thin else attempts):
-            position = low + (high - low) * rng.random(3)  # as `rng.uniform(low, high)`, in a third of the time
+            position = rng.uniform(low, high)
             if self.reachable(position) and self.model.base_distance(position) >= clearance:
                 return np.asarray(position)
         configurations = self.model.random_configurations(rng, attempts)
