@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import compiled, inlined
 
 MATRIX, VECTOR = (float, (3, 3)), (float, 3)
 JOINT = np.dtype(
@@ -32,33 +32,41 @@ JOINT = np.dtype(
 )
 
 
+@inlined
+def row_of_turn(joint, i, sine, versine):
+    """Return row i of a joint's rotation."""
+    return (
+        joint.base[i, 0] + sine * joint.sine[i, 0] + versine * joint.versine[i, 0],
+        joint.base[i, 1] + sine * joint.sine[i, 1] + versine * joint.versine[i, 1],
+        joint.base[i, 2] + sine * joint.sine[i, 2] + versine * joint.versine[i, 2],
+    )
+
+
 @compiled
 def forward(joints, q, rotations, origins):
     """Compute the frames of all joints at q (dof,)."""
-    turn = np.empty((3, 3))
     for k in range(len(joints)):
         joint = joints[k]
         angle = joint.ratio * q[joint.motor] + joint.shift
         sine, versine = math.sin(angle), 1 - math.cos(angle)
-        offset = (
-            joint.offset[0] + angle * joint.slide[0],
-            joint.offset[1] + angle * joint.slide[1],
-            joint.offset[2] + angle * joint.slide[2],
-        )
-        for i in range(3):
-            for j in range(3):
-                turn[i, j] = joint.base[i, j] + sine * joint.sine[i, j] + versine * joint.versine[i, j]
+        along_x = joint.offset[0] + angle * joint.slide[0]
+        along_y = joint.offset[1] + angle * joint.slide[1]
+        along_z = joint.offset[2] + angle * joint.slide[2]
+        xx, xy, xz = row_of_turn(joint, 0, sine, versine)
+        yx, yy, yz = row_of_turn(joint, 1, sine, versine)
+        zx, zy, zz = row_of_turn(joint, 2, sine, versine)
         if k == 0:
-            for i in range(3):
-                origins[0, i] = offset[i]
-                for j in range(3):
-                    rotations[0, i, j] = turn[i, j]
+            origins[0, 0], origins[0, 1], origins[0, 2] = along_x, along_y, along_z
+            rotations[0, 0, 0], rotations[0, 0, 1], rotations[0, 0, 2] = xx, xy, xz
+            rotations[0, 1, 0], rotations[0, 1, 1], rotations[0, 1, 2] = yx, yy, yz
+            rotations[0, 2, 0], rotations[0, 2, 1], rotations[0, 2, 2] = zx, zy, zz
             continue
         for i in range(3):
-            x, y, z = rotations[k - 1, i]
-            for j in range(3):
-                rotations[k, i, j] = x * turn[0, j] + y * turn[1, j] + z * turn[2, j]
-            origins[k, i] = origins[k - 1, i] + x * offset[0] + y * offset[1] + z * offset[2]
+            x, y, z = rotations[k - 1, i, 0], rotations[k - 1, i, 1], rotations[k - 1, i, 2]
+            rotations[k, i, 0] = x * xx + y * yx + z * zx
+            rotations[k, i, 1] = x * xy + y * yy + z * zy
+            rotations[k, i, 2] = x * xz + y * yz + z * zz
+            origins[k, i] = origins[k - 1, i] + x * along_x + y * along_y + z * along_z
 
 
 @compiled

@@ -6,7 +6,7 @@ import numpy as np
 
 from armctl.kernels.arm import forward, linearise, tip_of, turned, workspace
 from armctl.kernels.arm_dynamics import factor, solve
-from armctl.kernels.compiling import compiled, copy_to
+from armctl.kernels.compiling import compiled, copy_to, inlined
 from armctl.kernels.reach import nearest_turn
 
 NEAR_ENOUGH, MAX_STEPS = 1e-10, 5
@@ -38,6 +38,18 @@ def is_rigid(pose, tolerance):
     )
 
 
+@inlined
+def dot(rotation, i, x, y, z):
+    """Return the product of column i of a rotation (3, 3) and a vector."""
+    return rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z
+
+
+@inlined
+def relative(rotation, pose, i, j):
+    """Return an entry of the rotation from a frame to a pose (4, 4)."""
+    return dot(rotation, i, pose[0, j], pose[1, j], pose[2, j])
+
+
 @compiled
 def twist_length(rotation, position, pose):
     """Return the length of the twist (m and rad) from a frame to a pose (4, 4), in that frame.
@@ -45,29 +57,23 @@ def twist_length(rotation, position, pose):
     With the rotation vector w of the relative rotation, and its angle a, and the relative translation p, the twist is w
     and p - w x p / 2 + (1 - a / 2 cot(a / 2)) w x (w x p) / a^2.
     """
-    relative, p, w = np.empty((3, 3)), np.empty(3), np.empty(3)
-    for i in range(3):
-        p[i] = 0.0
-        for k in range(3):
-            p[i] += rotation[k, i] * (pose[k, 3] - position[k])
-        for j in range(3):
-            relative[i, j] = 0.0
-            for k in range(3):
-                relative[i, j] += rotation[k, i] * pose[k, j]
-    w[0] = (relative[2, 1] - relative[1, 2]) / 2
-    w[1] = (relative[0, 2] - relative[2, 0]) / 2
-    w[2] = (relative[1, 0] - relative[0, 1]) / 2
-    sine = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    angle = math.atan2(sine, (relative[0, 0] + relative[1, 1] + relative[2, 2] - 1) / 2)
+    a, b, c = pose[0, 3] - position[0], pose[1, 3] - position[1], pose[2, 3] - position[2]
+    p_x, p_y, p_z = dot(rotation, 0, a, b, c), dot(rotation, 1, a, b, c), dot(rotation, 2, a, b, c)
+    w_x = (relative(rotation, pose, 2, 1) - relative(rotation, pose, 1, 2)) / 2
+    w_y = (relative(rotation, pose, 0, 2) - relative(rotation, pose, 2, 0)) / 2
+    w_z = (relative(rotation, pose, 1, 0) - relative(rotation, pose, 0, 1)) / 2
+    trace = relative(rotation, pose, 0, 0) + relative(rotation, pose, 1, 1) + relative(rotation, pose, 2, 2)
+    sine = math.sqrt(w_x * w_x + w_y * w_y + w_z * w_z)
+    angle = math.atan2(sine, (trace - 1) / 2)
     bend = 1 / 12
     if angle > 1e-4:
-        for i in range(3):
-            w[i] *= angle / sine
+        stretch = angle / sine
+        w_x, w_y, w_z = w_x * stretch, w_y * stretch, w_z * stretch
         bend = (1 - angle / 2 / math.tan(angle / 2)) / (angle * angle)
-    x, y, z = w[1] * p[2] - w[2] * p[1], w[2] * p[0] - w[0] * p[2], w[0] * p[1] - w[1] * p[0]
-    u = p[0] - x / 2 + bend * (w[1] * z - w[2] * y)
-    v = p[1] - y / 2 + bend * (w[2] * x - w[0] * z)
-    s = p[2] - z / 2 + bend * (w[0] * y - w[1] * x)
+    x, y, z = w_y * p_z - w_z * p_y, w_z * p_x - w_x * p_z, w_x * p_y - w_y * p_x
+    u = p_x - x / 2 + bend * (w_y * z - w_z * y)
+    v = p_y - y / 2 + bend * (w_z * x - w_x * z)
+    s = p_z - z / 2 + bend * (w_x * y - w_y * x)
     return math.sqrt(angle * angle + u * u + v * v + s * s)
 
 
@@ -77,11 +83,11 @@ def tip_pose(joints, q, rotations, origins, rotation, position):
     forward(joints, q, rotations, origins)
     tip_of(joints, rotations, origins, position)
     last = len(joints) - 1
+    tip = joints[last].tip_rotation
     for i in range(3):
+        x, y, z = rotations[last, i, 0], rotations[last, i, 1], rotations[last, i, 2]
         for j in range(3):
-            rotation[i, j] = 0.0
-            for k in range(3):
-                rotation[i, j] += rotations[last, i, k] * joints[last].tip_rotation[k, j]
+            rotation[i, j] = x * tip[0, j] + y * tip[1, j] + z * tip[2, j]
 
 
 @compiled

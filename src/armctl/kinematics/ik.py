@@ -10,7 +10,7 @@ import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pinocchio
@@ -54,8 +54,7 @@ class IkOptions:
     """Configurations closer than this in every joint (rad) count as one solution."""
 
 
-@dataclass(frozen=True)
-class IkResult:
+class IkResult(NamedTuple):
     """Solutions within the joint limits, the one nearest to the seed first."""
 
     solutions: Array
