@@ -6,10 +6,10 @@ slope of a whole number of lattice spacings per stretch leads from point to poin
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.core.options import Count, NonNegative, Positive, options
+from armctl.kernels import turns as kernel
 from armctl.scene import BridgeMap
 
 CHECKS = 4
@@ -54,49 +54,32 @@ def plan_turns(
     half = int(bridge.half_width / chosen.spacing)
     width = 2 * half + 1
     y = pose[1] + chosen.spacing * (np.arange(width) - half - round(pose[1] / chosen.spacing))
-    costs = _stretch_costs(bridge, pose[0], y, stages, slopes, chosen)
-    driving = chosen.stretch / np.cos(headings) / chosen.speed
-    time_to_go, best = np.zeros((width, len(slopes))), np.empty((stages, width, len(slopes)), dtype=np.int8)
-    ends = np.arange(width)[:, None] + slopes
-    inside = (ends >= 0) & (ends < width)
-    ends = np.clip(ends, 0, width - 1)
-    for stage in range(stages - 1, -1, -1):
-        total_time = np.where(inside, time_to_go[ends, np.arange(len(slopes))], np.inf) + costs[stage]
-        time_to_go = np.full_like(total_time, np.inf)
-        for turn in range(-chosen.turns, chosen.turns + 1):
-            old = slice(max(0, -turn), len(slopes) - max(0, turn))
-            new = slice(max(0, turn), len(slopes) - max(0, -turn))
-            turning = np.abs(headings[new] - headings[old]) / chosen.turn_rate
-            time = total_time[:, new] + np.maximum(driving[new], turning)
-            better = time < time_to_go[:, old]
-            time_to_go[:, old] = np.where(better, time, time_to_go[:, old])
-            best[stage, :, old] = np.where(better, turn, best[stage, :, old])
+    turning = np.abs(headings[:, None] - headings) / chosen.turn_rate
+    driving = np.maximum(chosen.stretch / np.cos(headings) / chosen.speed, turning)
+    costs = _check_costs(bridge, pose[0], y, stages, chosen)
+    best = np.empty((stages, len(slopes), width), dtype=np.int8)
+    time_to_go = kernel.fastest_turns(costs, slopes, driving, chosen.turns, best)
     place = half + round(pose[1] / chosen.spacing)
     slope = int(np.abs(headings - pose[2]).argmin())
-    if not 0 <= place < width or not np.isfinite(time := float(time_to_go[place, slope])):
+    if not 0 <= place < width or not np.isfinite(time := float(time_to_go[slope, place])):
         return np.zeros((0, 2)), np.inf
     path = [pose[:2]]
     for stage in range(stages):
-        slope += int(best[stage, place, slope])
+        slope += int(best[stage, slope, place])
         place += int(slopes[slope])
         path.append(np.array((pose[0] + (stage + 1) * chosen.stretch, y[place])))
     return np.array(path), time
 
 
-def _stretch_costs(
-    bridge: BridgeMap, x: float, y: Array, stages: int, slopes: NDArray[np.integer], options: TurnPlannerOptions
-) -> Array:
-    """Return the discomfort (stages, width, slopes) s of stretches from each place: infinite if they are blocked."""
+def _check_costs(bridge: BridgeMap, x: float, y: Array, stages: int, options: TurnPlannerOptions) -> Array:
+    """Return the discomfort (stages, `CHECKS`, ...) s of each check, infinite if it is blocked, at points across."""
     shares = np.arange(1, CHECKS + 1) / CHECKS
     along = x + options.stretch * (np.arange(stages)[:, None] + shares)
     fine = options.spacing / CHECKS
     across = np.arange(y[0] - fine * CHECKS * options.slopes, y[-1] + fine * (CHECKS * options.slopes + 0.5), fine)
-    points = np.stack(np.meshgrid(along.ravel(), across, indexing="ij"), axis=-1).reshape(-1, 2)
-    clearance = bridge.with_lanes_blocked().clearance(points).reshape(stages, CHECKS, len(across))
-    missing = np.clip(options.comfort - clearance, 0.0, None)
-    cost = np.where(clearance < options.clearance, np.inf, options.discomfort * options.stretch / CHECKS * missing)
-    places = CHECKS * (options.slopes + np.arange(len(y)))[:, None]
-    total = np.zeros((stages, len(y), len(slopes)))
-    for check in range(CHECKS):
-        total += cost[:, check, places + (check + 1) * slopes]
-    return total
+    points = np.empty((*along.shape, len(across), 2))
+    points[..., 0], points[..., 1] = along[..., None], across
+    clearance = bridge.with_lanes_blocked().clearance(points.reshape(-1, 2)).reshape(points.shape[:-1])
+    costs = options.discomfort * options.stretch / CHECKS * np.maximum(options.comfort - clearance, 0.0)
+    costs[clearance < options.clearance] = np.inf
+    return np.asarray(costs)
