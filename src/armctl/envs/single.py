@@ -45,7 +45,7 @@ class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
         observations, infos = self.worlds.reset(seed=seed, options=options)
         if self.render_mode == "human":
             self.render()
-        return one_of(observations, 0), self._info(infos)
+        return one_of(observations, 0), {"outcome": self.worlds.outcomes[infos["outcome_id"][0]], **_first(infos)}
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Infos]:
         """Make one control step. If the action is invalid, raises `InvalidAction` and steps nothing."""
@@ -54,12 +54,15 @@ class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
         numbers = action_numbers(action)
         if numbers.shape != self.action_space.shape:
             raise InvalidAction(f"the action has shape {numbers.shape}; expected {self.action_space.shape}")
-        actions = self.worlds._finite(numbers[None])
-        observations, rewards, terminated, truncated, infos = self.worlds._step(actions)
+        worlds, results = self.worlds, self.worlds._results
+        worlds._advance(worlds._finite(numbers[None]))
+        observation = one_of(worlds._observe(), 0)
         if self.render_mode == "human":
             self.render()
-        ends = bool(terminated[0]), bool(truncated[0])
-        return one_of(observations, 0), float(rewards[0]), *ends, self._info(infos)
+        terminated, truncated, success = results.ends[:, 0].tolist()
+        outcome, terms = results.outcomes.item(0), results.terms[:, 0].tolist()
+        infos = {"outcome": worlds.outcomes[outcome], **worlds._step_infos(success, outcome, terms)}
+        return observation, results.rewards.item(0), terminated, truncated, infos | _first(worlds._task_info())
 
     def render(self) -> Any:
         """Return an image (height, width, 3), or None in the mode `human`."""
@@ -69,9 +72,6 @@ class TaskEnv(MadeAgain, gymnasium.Env[Any, Any]):
     def close(self) -> None:
         """Close the window and free graphics memory."""
         self.worlds.close()
-
-    def _info(self, infos: Infos) -> Infos:
-        return {"outcome": self.worlds.outcomes[infos["outcome_id"][0]], **_first(infos)}
 
 
 class OneWorld:

@@ -146,20 +146,13 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
     def step(self, actions: ArrayLike) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Make one control step in every world. If an action is invalid, raises `InvalidAction` and steps nothing."""
         self._check_seeded()
-        return self._step(self._checked_numbers(actions))
-
-    def _step(self, actions: Array) -> tuple[Observations, Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
-        """Step with actions that have been checked."""
-        commands = self._disturbed_commands(self._physical(actions))
-        awake = ~self._finished
-        restart = np.flatnonzero(self._finished) if np.count_nonzero(awake) < self.num_envs else None
-        self.task.command(commands)
-        self.task.advance(None if restart is None else np.flatnonzero(awake).astype(np.int32))
-        rewards, terminated, truncated, infos = self._end_step()
-        for observer in self.observers:
-            observer.stepped(awake)
-        if self.autoreset_mode is AutoresetMode.NEXT_STEP and restart is not None:
-            self._begin_next(restart)
+        standing = np.flatnonzero(self._finished)
+        self._advance(self._checked_numbers(actions))
+        results = self._results
+        rewards, (terminated, truncated, successes) = results.rewards.copy(), results.ends.copy()
+        infos = self._step_infos(successes, results.outcomes.copy(), results.terms.copy()) | self._task_info()
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and len(standing):
+            self._begin_next(standing)
             infos |= self._task_info()
         observations = self._observe()
         if self.autoreset_mode is AutoresetMode.SAME_STEP and (finished := terminated | truncated).any():
@@ -194,8 +187,12 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
             self._viewer.close()
             self._viewer = None
 
-    def _end_step(self) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Infos]:
-        """Return rewards, which episodes terminate and are truncated, and infos. Raises `EnvironmentFailed`."""
+    def _advance(self, actions: Array) -> None:
+        """Make a control step where an episode goes on, and write `_results`. Raises `EnvironmentFailed`."""
+        awake = ~self._finished
+        are_all_awake = np.count_nonzero(awake) == self.num_envs
+        self.task.command(self._disturbed_commands(self._physical(actions)))
+        self.task.advance(None if are_all_awake else np.flatnonzero(awake).astype(np.int32))
         terms, outcomes, results = self.task.reward_terms(), np.asarray(self.task.outcome()), self._results
         if tuple(terms) != self._reward_names or outcomes.shape != results.outcomes.shape:
             raise EnvironmentFailed(
@@ -207,21 +204,21 @@ class TaskVectorEnv(MadeAgain, EpisodeVectorEnv, gymnasium.vector.VectorEnv[Any,
         results.outcomes[...] = outcomes
         if not end_step(self._bound):
             self._refuse(outcomes, dict(zip(terms, results.terms, strict=True)))
-        terminated, truncated, successes = results.ends.copy()
-        infos = self._step_infos(successes, results.outcomes.copy(), results.terms.copy())
-        return results.rewards.copy(), terminated, truncated, infos
+        for observer in self.observers:
+            observer.stepped(awake)
 
     def _infos(self) -> Infos:
         terms = np.zeros((len(self._reward_names), self.num_envs))
-        return self._step_infos(np.zeros(self.num_envs, dtype=bool), np.full(self.num_envs, RUNNING), terms)
+        successes, outcomes = np.zeros(self.num_envs, dtype=bool), np.full(self.num_envs, RUNNING)
+        return self._step_infos(successes, outcomes, terms) | self._task_info()
 
-    def _step_infos(self, successes: NDArray[np.bool_], outcomes: NDArray[np.int64], terms: Array) -> Infos:
+    def _step_infos(self, successes: Any, outcomes: Any, terms: Any) -> Infos:
+        """Return infos of all worlds or of one: whether they end with success, their outcomes, and the terms (k,)."""
         rewards = {"reward_terms": dict(zip(self._reward_names, terms, strict=True))}
         return {
             "is_success": successes,
             "outcome_id": outcomes,
             **(_flat(rewards) if self.flat_infos else rewards),
-            **self._task_info(),
         }
 
     def _task_info(self) -> Infos:

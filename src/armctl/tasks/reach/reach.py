@@ -209,14 +209,13 @@ class ReachTask(Task):
 
     def observe(self, ids: Ids | None = None) -> Observations:
         """Return observations (n, k): the parts side by side; with `goal`, a dict of these and both goals."""
-        parts = list(self.observation_parts().values())
-        observations: dict[str, NDArray[Any]] = {"observation": np.concatenate(parts, axis=1, dtype=np.float32)}
-        if self.options.goal:
-            places = (self.state.end_effector_position, self.state.target_position)
-            observations |= {name: place.astype(np.float32) for name, place in zip(GOAL_SPACES, places, strict=True)}
-        if ids is not None:
-            observations = {name: values[ids] for name, values in observations.items()}
-        return observations if self.options.goal else observations["observation"]
+        observation = np.concatenate(list(self.observation_parts().values()), axis=1, dtype=np.float32)
+        rows = slice(None) if ids is None else ids
+        if not self.options.goal:
+            return observation[rows]
+        places = (self.state.end_effector_position, self.state.target_position)
+        goals = {name: place[rows].astype(np.float32) for name, place in zip(GOAL_SPACES, places, strict=True)}
+        return {"observation": observation[rows], **goals}
 
     def reward_terms(self) -> RewardTerms:
         """Return the terms of `ReachOptions.reward`."""
