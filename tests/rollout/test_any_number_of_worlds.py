@@ -3,7 +3,11 @@
 import pandas as pd
 import pytest
 
-from armctl.envs import task_of
+from armctl.envs import make_worlds, task_of
+from armctl.episodes.record import FailedEpisode
+from armctl.policies import make_policy
+from armctl.rollout import rollouts
+from armctl.rollout.decision_times import TimedPolicy
 from armctl.study import compare
 
 from ..stores import timeless
@@ -92,3 +96,23 @@ def test_no_controller_acts_after_its_last_episode():
         assert Brief.calls == episodes.length.sum() + errors.sum()
         played[worlds] = timeless(episodes)
         pd.testing.assert_frame_equal(played[worlds], played[1], check_exact=True)
+
+
+def test_worlds_without_an_episode_stand_still(monkeypatch):
+    stepped = []
+
+    def advance(task, ids):
+        stepped.append(task.n if ids is None else len(ids))
+        original(task, ids)
+
+    original = task_of(QUICKEST).advance
+    monkeypatch.setattr(task_of(QUICKEST), "advance", advance)
+    worlds = make_worlds(QUICKEST, 5, {"max_episode_steps": 9})
+    policy = TimedPolicy(make_policy(Brief, worlds), 5)
+    for episodes, begun in ((range(2), 3), (range(2, 4), 0)):  # at first, the other controllers have to act once
+        stepped.clear()
+        Brief.calls = 0
+        results = list(rollouts(policy, worlds, episodes, seed=0))
+        errors = sum(isinstance(result, FailedEpisode) for result in results)
+        assert sum(stepped) == sum(result.length for result in results)
+        assert Brief.calls == sum(stepped) + errors + begun

@@ -120,9 +120,14 @@ def test_no_workers_are_refused():
 
 @pytest.mark.parametrize(("episodes", "worlds", "workers"), [(7, 1, 2), (100, 8, 2), (10, 64, 3), (0, 4, 2)])
 def test_blocks_hold_every_episode_once_and_keep_all_workers_busy(episodes, worlds, workers):
-    blocks = list(_blocks(range(episodes), worlds, Local(workers)))
+    blocks = list(_blocks(range(episodes), worlds, Local(workers), num_policies=2))
     assert [episode for block in blocks for episode in block] == list(range(episodes))
     assert len(blocks) >= min(workers, episodes)
+
+
+def test_many_policies_keep_all_workers_busy_without_being_divided():
+    for num_policies, sizes in ((5, [5, 5]), (6, [10])):
+        assert [len(block) for block in _blocks(range(10), 10, Local(2), num_policies)] == sizes
 
 
 @pytest.mark.slow

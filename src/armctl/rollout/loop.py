@@ -129,16 +129,17 @@ class _Player:
     ) -> Iterator[EpisodeResult]:
         """Start the episodes `numbers` (n,), play those of the mask `playing` (n,), and then those that are `waiting`.
 
-        `attempts` are first attempts, by episode. Raises `_UnknownWorldFailed`.
+        The other worlds stand still. `attempts` are first attempts, by episode. Raises `_UnknownWorldFailed`.
         """
         self._numbers, self._playing = numbers, playing
-        starting = np.ones(len(numbers), dtype=bool)
+        starting = playing.copy() if attempts is None and self._timed.has_acted else np.ones(len(numbers), dtype=bool)
         seeds: list[int] | None = [self._seed] * len(numbers)
         while playing.any():
             errors = Errors()
             if starting.any():
                 self._begin(starting, seeds)
                 errors, seeds = self._reset(starting), None
+                self._env.unwrapped.abandon(np.flatnonzero(~playing))
             if acts := not errors:
                 actions, decision_ms, errors = self._act(attempts or {})
             over = np.isin(np.arange(len(numbers)), list(errors)) & playing
@@ -158,7 +159,7 @@ class _Player:
                 numbers[i] = next(waiting, -1)
             starting = over & (numbers >= 0)
             playing[over] = starting[over]
-            self._timed.idle(np.flatnonzero(over & ~starting))
+            self._timed.idle(np.flatnonzero(~playing))
             self._recorder.discard_old_steps(playing)
 
     def _find_failed(

@@ -93,6 +93,15 @@ class RolloutBatch:
     """Remarks on what the worlds have returned so far."""
 
 
+UNITS_PER_WORKER = 3
+"""Policies per worker from which on none is divided among workers: each saves worlds, and steps more at once."""
+
+
+def sharing(num_policies: int, workers: int) -> int:
+    """Return the number of workers among which the episodes of each of so many policies are divided."""
+    return 1 if num_policies >= UNITS_PER_WORKER * workers else workers
+
+
 def play_here(
     policies: Mapping[str, TimedPolicy],
     worlds: Mapping[str, EpisodeVectorEnv],
@@ -135,10 +144,11 @@ def play_in_workers(
     """
     first = {name: FirstEpisodes(name, () if name in finished else episodes) for name, episodes in waiting.items()}
     failed: set[str] = set()
+    num_policies = sum(map(bool, waiting.values()))
 
     def blocks() -> Iterator[Any]:
         for name, episodes in waiting.items():
-            for block in _blocks(episodes, setting.config.num_envs, engine):
+            for block in _blocks(episodes, setting.config.num_envs, engine, num_policies):
                 if name not in failed:
                     bounds = {episode: lower_bound_steps[episode] for episode in block if episode in lower_bound_steps}
                     yield name, block, bounds, real_time and real_time.of(name, block)
@@ -193,12 +203,12 @@ def check_sendable(policies: Mapping[str, Any]) -> None:
             ) from error
 
 
-def _blocks(episodes: Sequence[int], num_envs: int, engine: Engine) -> Iterator[Sequence[int]]:
-    """Return blocks so small that every worker gets one; of one episode if one world plays and units are grouped."""
+def _blocks(episodes: Sequence[int], num_envs: int, engine: Engine, num_policies: int) -> Iterator[Sequence[int]]:
+    """Return blocks that keep all workers busy with so many policies; of one episode if one world plays."""
     if num_envs == 1 and engine.groups_units:
         size = 1
     else:
-        size = max(1, min(ROUNDS * num_envs, -(-len(episodes) // engine.workers)))
+        size = max(1, min(ROUNDS * num_envs, -(-len(episodes) // sharing(num_policies, engine.workers))))
     return (episodes[i : i + size] for i in range(0, len(episodes), size))
 
 

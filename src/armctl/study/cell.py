@@ -130,15 +130,15 @@ class _Line:
         lengths = (kept.column(name).tolist() for name in ("episode", "lower_bound_steps"))
         task.lower_bound_steps.update(zip(*lengths, strict=True))
         play_block, playing, start = self._block_player(task.lower_bound_steps), set(finished), 0
-        names, spent = [*self.policies], dict.fromkeys(self.policies, 0.0)
+        names = [*self.policies]
         for end in counts:
-            names.sort(key=spent.__getitem__, reverse=True)  # the longest first: workers end together
+            names.sort(key=task.spent.__getitem__, reverse=True)  # the longest first: workers end together
             numbers = {name: np.arange(first + start, first + min(end, task.enough(self.cell, name))) for name in names}
             waiting = {name: np.setdiff1d(numbers[name], finished.get(name, [])).tolist() for name in names}
             with closing(play_block(waiting, playing)) as batches:
                 for batch in batches:
                     yield batch
-                    spent[batch.policy] += sum(np.nansum(result.decision_ms) for result in batch.results)
+                    task.spent[batch.policy] += sum(np.nansum(result.decision_ms) for result in batch.results)
                     names = [name for name in names if name != batch.policy or not batch.failure]
             start, playing = end, playing | set(names)
             yield end

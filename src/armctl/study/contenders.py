@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -35,6 +36,8 @@ class Task:
     """None before the first cell is played."""
     contenders: Contenders = field(default_factory=dict)
     """Empty before the undisturbed cell of a suite was played, and where no cell stops when it is decided."""
+    spent: Counter[str] = field(default_factory=Counter)
+    """Decision times (ms) by policy, of all cells so far."""
 
     @property
     def obeys_seed(self) -> bool:

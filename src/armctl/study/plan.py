@@ -15,6 +15,7 @@ from armctl.envs import full_id, make_worlds
 from armctl.episodes.stored import SLOW_DOWN_NAME, UNDISTURBED
 from armctl.policies import check_policy_name, expanded, is_seed_group, learners, named_policies
 from armctl.rollout.loop import check_counts
+from armctl.rollout.parallel import sharing
 from armctl.rollout.real_time import (
     RealTime,
     check_measurable,
@@ -175,7 +176,8 @@ class Plan:
 
         It is no more than a worker's share of the episodes that are played at once.
         """
-        at_once = -(-BLOCK // self.engine.workers) if self.until_decided else self.episodes_in(cell)
+        workers = sharing(len(cell.players), self.engine.workers)
+        at_once = -(-BLOCK // workers) if self.until_decided else self.episodes_in(cell)
         return 1 if cell.real_time else min(self.num_envs, at_once)
 
     @property
