@@ -12,14 +12,14 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
+from numpy.typing import NDArray
 
 from armctl.baselines.bridge_view import BridgeView
 from armctl.control.dynamic_window import arcs, dynamic_window
 from armctl.core.arrays import Array
 from armctl.core.options import Count, NonNegative, Positive, changed_options, options
 from armctl.envs import ModelInterface
+from armctl.kernels import cost_to_go as kernel
 from armctl.planning import Lattice
 from armctl.policies import PerWorld, made_for, sees
 from armctl.robots.rover import RADIUS
@@ -76,16 +76,18 @@ def make(env: ModelInterface, options: Mapping[str, Any] = MappingProxyType({}))
 class SeenMap(BridgeMap):
     """A bridge of many small obstacles and without barriers, as a camera has seen it."""
 
-    def clearance(self, points: ArrayLike) -> Array:
-        """Return the distance (m,) of points (m, 2) to the nearest obstacle."""
-        return distances_to(self.blocks[:, :2], np.asarray(points))
+    def free(self, x: Array, y: Array, clearance: float) -> NDArray[np.bool_]:
+        """Return which points of a lattice have a clearance (m) from the obstacles."""
+        free = np.empty((len(x), len(y)), dtype=bool)
+        kernel.keep_clear(self.blocks, x, y, clearance, free)
+        return free
 
 
 def distances_to(obstacles: Array, points: Array) -> Array:
     """Return the distances (...,) m of points (..., 2) to the nearest of obstacles (k, 2), m; at most `FAR`."""
-    return np.asarray(
-        np.minimum(KDTree(np.vstack((obstacles, (-1e3, 0.0)))).query(points, distance_upper_bound=FAR)[0], FAR)
-    )
+    distances = np.empty(points.shape[:-1])
+    kernel.nearest_distances(obstacles, points.reshape(-1, 2), FAR, distances.reshape(-1))
+    return distances
 
 
 class BridgeDwa:

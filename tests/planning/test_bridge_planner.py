@@ -7,9 +7,9 @@ import shapely
 from scipy.sparse.csgraph import dijkstra
 
 from armctl.core.errors import ConfigurationError
-from armctl.kernels.bridge import measure_neighborhoods
+from armctl.kernels.bridge import may_pass, measure, reach_among
 from armctl.planning import PathPlannerOptions, plan_path
-from armctl.planning.bridge_planner import _by_ompl, _march
+from armctl.planning.bridge_planner import _by_ompl, _march, _points, _search
 from armctl.scene import BridgeMap, PedestrianTrajectories
 from armctl.tasks.bridge.layout import sample_layout
 
@@ -108,11 +108,25 @@ def test_reach_is_the_distance_of_the_last_neighbour(on_grid):
     for _ in range(40):
         n, neighbors = rng.integers(1, 80, 2).tolist()
         points = rng.integers(0, 4, (n, 2)).astype(float) if on_grid else rng.random((n, 2)) * (10, 2)
-        distances, reach = np.empty((n, n)), np.empty(n)
-        measure_neighborhoods(points, neighbors, distances, reach)
-        np.testing.assert_allclose(distances, np.linalg.norm(points[:, None] - points, axis=-1), rtol=1e-12)
-        last = np.sort(distances)[:, neighbors - 1] if neighbors <= n else np.full(n, np.inf)
-        np.testing.assert_array_equal(reach, last)
+        distances, within = np.empty(n), rng.choice((0.5, np.inf))
+        for i, actual in enumerate(np.linalg.norm(points[:, None] - points, axis=-1)):
+            measure(points, i, distances)
+            np.testing.assert_allclose(distances, actual, rtol=1e-12)
+            last = np.sort(distances)[neighbors - 1] if neighbors <= n else np.inf
+            assert reach_among(distances, neighbors, within, np.empty(n)) == last
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.3])
+def test_no_path_is_ruled_out_that_there_is(cell):
+    ruled_out = 0
+    for bridge in layouts(40):
+        for clearance in (0.3, 0.45, 0.6):
+            points = _points(bridge, clearance, 400)
+            path, _ = _search(bridge, np.array(START), GOAL_X, clearance, points)
+            is_open = may_pass(bridge.deck, clearance, np.array(START), GOAL_X, cell)
+            assert is_open or not len(path)
+            ruled_out += not is_open
+    assert ruled_out >= 3
 
 
 def test_an_empty_bridge_is_crossed_straight():

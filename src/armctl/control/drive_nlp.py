@@ -166,7 +166,7 @@ class DriveNlp:
             "drive", "fatrop", {**self.problem, "f": SCALE * self.problem["f"]},
             {
                 "structure_detection": "auto", "equality": equality, "print_time": False, "error_on_fail": False,
-                "fatrop": fatrop,
+                "calc_lam_p": False, "calc_lam_x": False, "fatrop": fatrop,
             },
         )  # fmt: skip
 

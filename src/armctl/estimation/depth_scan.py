@@ -13,20 +13,12 @@ from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.estimation.depth_ranges import DepthCamera
+from armctl.kernels import depth_scan as kernel
 
-HORIZON, FLOOR = 0.2, (-0.6, -0.12)
-"""Rises (m per m ahead) of the rows that see what stands, up or down, and of those that see the floor."""
-MIN_DEPTH = 0.05
-"""m: less is a lost pixel."""
-STANDING = (0.12, 0.76)
-"""Heights (m) between which what is seen is an obstacle."""
 HOLE = -0.4
 """m: what is seen below is a hole."""
-TALL = (0.9, 1.45)
-"""Heights (m) of a person above all obstacles."""
 FLOOR_GATE = 0.25
 """m: a point that appears farther from the floor is not of the floor."""
-MIN_FLOOR_PIXELS, MIN_TALL_PIXELS = 40, 2
 MAX_NOD = 0.15
 """rad."""
 MAD_TO_STD = 1.4826
@@ -70,77 +62,47 @@ class DepthScanner:
 
     def __init__(self, camera: DepthCamera, mount: CameraMount) -> None:
         self.camera, self.mount = camera, mount
-        self._up, self._sideways = camera.up[:, None], camera.sideways[None]
 
     def scan(self, image: NDArray[Any]) -> DepthScan | None:
         """Return what an image shows; None for a lost one: black, or without a finite number."""
         depths = np.where(np.isfinite(image), image, 0.0).astype(float)
-        measured = depths > MIN_DEPTH
-        if not measured.any():
+        if not (depths > kernel.MIN_DEPTH).any():
             return None
-        pitch, noise = self._floor(depths, measured)
-        rise, ahead, above = self._rays(pitch)
-        x, y, z = depths * ahead, depths * self._sideways, above + depths * rise
-        farthest = FARTHEST * self.camera.farthest
-        near = measured & (depths < farthest)
-        level = np.abs(rise / ahead) < HORIZON
-        standing = near & level & (z > STANDING[0]) & (z < STANDING[1])
-        tall = near & (z > TALL[0]) & (z < TALL[1])
-        tall &= tall.sum(axis=0) >= MIN_TALL_PIXELS
-        points = _medians(x, y, standing)
-        clear = np.where((measured & level & ~standing).any(axis=0), farthest, 0.0)
-        ranges = np.linalg.norm(points, axis=1)
+        pitch, noise = self._floor(depths)
+        width, farthest = depths.shape[1], FARTHEST * self.camera.farthest
+        columns = kernel.Columns(np.empty((width, 2)), np.empty((width, 2)), np.empty(width), np.empty(width))
+        kernel.reduce(depths, self._rays(pitch), farthest, columns)
         offset = np.array((self.mount.ahead, 0.0))
-        return DepthScan(
-            points + offset, _medians(x, y, tall) + offset, _median(z, standing),
-            np.where(np.isnan(ranges), clear, ranges), pitch, noise,
-        )  # fmt: skip
+        return DepthScan(columns.standing + offset, columns.tall + offset, columns.heights, columns.free, pitch, noise)
 
     def painted(self, image: NDArray[Any], scan: DepthScan) -> NDArray[Any]:
-        """Return the image (height, width) without its noise: the floor, what stands on it up to `STANDING`, holes.
+        """Return the image (height, width) without its noise: the floor, what stands on it, holes.
 
-        Nothing above is painted.
+        Nothing above `kernel.STANDING` is painted.
         """
-        rise, ahead, above = self._rays(scan.pitch)
+        rays = self._rays(scan.pitch)
+        rise, ahead, above = rays.rise[:, None], rays.ahead[:, None], rays.above
         floor = np.where(rise < 0, above / np.maximum(-rise, 1e-6), np.inf)
         standing = (scan.standing[:, 0] - self.mount.ahead) / ahead
-        is_standing = (standing < floor) & (above + standing * rise < STANDING[1])
+        is_standing = (standing < floor) & (above + standing * rise < kernel.STANDING[1])
         is_hole = above + image * rise < HOLE
         depths = np.where(is_standing, standing, np.where(is_hole, image, floor))
         return np.minimum(depths, self.camera.farthest).astype(image.dtype)
 
-    def _rays(self, pitch: float) -> tuple[Array, Array, float]:
-        """Return rise and advance (height, 1) per m of depth, and the camera's height."""
-        rise, ahead = self._up * np.cos(pitch) - np.sin(pitch), np.cos(pitch) + self._up * np.sin(pitch)
-        return rise, ahead, self.mount.above + self.mount.lift * max(self.camera.pitch - pitch, 0.0)
+    def _rays(self, pitch: float) -> kernel.Rays:
+        """Return the rays of the pixels at a pitch (rad)."""
+        up, (cos, sin) = self.camera.up, (np.cos(pitch), np.sin(pitch))
+        above = self.mount.above + self.mount.lift * max(self.camera.pitch - pitch, 0.0)
+        return kernel.Rays(up * cos - sin, cos + up * sin, self.camera.sideways, above)
 
-    def _floor(self, depths: Array, measured: NDArray[np.bool_]) -> tuple[float, float]:
+    def _floor(self, depths: Array) -> tuple[float, float]:
         """Return the pitch at which most of the lower image is floor, and the noise of its depths (m)."""
         rest, noise = self.camera.pitch, 0.0
         pitch = rest
         for gate in (FLOOR_GATE, FLOOR_GATE / 2):
-            rise, ahead, above = self._rays(pitch)
-            slope = rise / ahead
-            rows = ((slope > FLOOR[0]) & (slope < FLOOR[1]))[:, 0]
-            z = above + (rise * depths)[rows]
-            floor = measured[rows] & (np.abs(z) < gate)
-            if floor.sum() < MIN_FLOOR_PIXELS:
+            turn, distance = kernel.tilt(depths, self._rays(pitch), gate)
+            if np.isnan(turn):
                 break
-            angles = z / (above / -slope[rows])
-            turn = float(np.median(angles[floor]))
-            flat = (z + turn * above / slope[rows]) / rise[rows]
-            noise = MAD_TO_STD * float(np.median(np.abs(flat[floor])))
+            noise = MAD_TO_STD * distance
             pitch = float(np.clip(pitch + turn, rest - MAX_NOD, rest + MAX_NOD))
         return pitch, noise
-
-
-def _median(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median of each column's chosen values; NaN where none is chosen."""
-    count, columns = chosen.sum(axis=0), np.arange(values.shape[1])
-    values = np.sort(np.where(chosen, values, np.inf), axis=0)
-    middle = (values[np.maximum(count - 1, 0) // 2, columns] + values[count // 2, columns]) / 2
-    return np.where(count > 0, middle, np.nan)
-
-
-def _medians(x: Array, y: Array, chosen: NDArray[np.bool_]) -> Array:
-    return np.column_stack((_median(x, chosen), _median(y, chosen)))

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
 from armctl.core.arrays import Array
+from armctl.kernels import occupancy as kernel
 
 CELL = 0.05
 """m."""
@@ -24,6 +25,7 @@ JOIN = 0.2
 
 THICKNESS = 0.2
 """m: so far behind what is seen of it, an obstacle goes on, until other rays show that it does not."""
+EVIDENCE = kernel.Evidence(CELL, TRUSTED_RANGE, SHORTER, THICKNESS, HIT, MISS, *LIMITS)
 BESIDE = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
 """Offsets of a cell and its neighbours."""
 
@@ -44,24 +46,14 @@ class OccupancyGrid:
         `directions` (m, 2) are unit vectors, in order, from -90 to 90 degrees off the middle one. Each tells of all
         cells between those beside it.
         """
-        first = np.clip(np.floor((origin - TRUSTED_RANGE - self._low) / CELL), 0, self._shape).astype(int)
-        last = np.clip(np.ceil((origin + TRUSTED_RANGE - self._low) / CELL), 0, self._shape).astype(int)
-        part = self._log_odds[first[0] : last[0], first[1] : last[1]]
-        x, y = (self._low[i] - origin[i] + CELL * (np.arange(first[i], last[i]) + 0.5) for i in range(2))
-        distances, (ahead, sideways) = np.hypot(x[:, None], y), directions[len(directions) // 2]
-        bearings = np.arctan2(ahead * y - sideways * x[:, None], ahead * x[:, None] + sideways * y)
+        (x, y), (ahead, sideways) = self._low - origin, directions[len(directions) // 2]
         rays = np.arctan2(ahead * directions[:, 1] - sideways * directions[:, 0], directions @ (ahead, sideways))
         order = np.argsort(rays)
         half = np.diff(rays[order]) / 2
         edges = np.concatenate((rays[order[:1]] - half[0], rays[order[:-1]] + half, rays[order[-1:]] + half[-1]))
-        column = np.searchsorted(edges, bearings) - 1
-        in_sight = (column >= 0) & (column < len(order)) & (distances < TRUSTED_RANGE)
-        ray = order[np.clip(column, 0, len(order) - 1)]
-        beyond = distances - ranges[ray]
-        occupied = in_sight & hits[ray] & (beyond > -CELL / 2) & (beyond < THICKNESS)
-        free = in_sight & (beyond < -SHORTER)
-        part += np.where(occupied, HIT, np.where(free, MISS, 0.0))
-        np.clip(part, *LIMITS, out=part)
+        tangents = np.tan(np.clip(edges, -np.pi / 2, np.pi / 2))
+        view = kernel.View(x, y, ahead, sideways, tangents, ranges[order], hits[order])
+        kernel.enter(self._log_odds, EVIDENCE, view)
 
     def forget(self, points: Array, radius: float) -> None:
         """Forget what was seen within `radius` (m) of points (m, 2)."""

@@ -61,18 +61,34 @@ def is_farther(block, ax, ay, bx, by, distance):
 
 
 @compiled
+def clearance_at(blocks, half_width, length, x, y):
+    """Return the distance (m) of a point from the nearest block, side or end; 0 or below inside a block."""
+    clearance = to_sides(half_width, length, x, y)
+    for k in range(len(blocks)):
+        if is_farther(blocks[k], x, y, x, y, clearance):
+            continue
+        cos, sin, dx, dy = blocks[k, 6], blocks[k, 7], x - blocks[k, 4], y - blocks[k, 5]
+        beyond_x, beyond_y = abs(dx * cos + dy * sin) - blocks[k, 8], abs(dy * cos - dx * sin) - blocks[k, 9]
+        outside = math.hypot(max(beyond_x, 0.0), max(beyond_y, 0.0))
+        clearance = min(clearance, outside + min(max(beyond_x, beyond_y), 0.0))
+    return clearance
+
+
+@compiled
 def clearances(blocks, half_width, length, points, out):
     """Compute the distance (n,) m of `points` (n, 2) from the nearest block, side or end; 0 or below inside a block."""
     for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
-        out[i] = to_sides(half_width, length, x, y)
-        for k in range(len(blocks)):
-            if is_farther(blocks[k], x, y, x, y, out[i]):
-                continue
-            cos, sin, dx, dy = blocks[k, 6], blocks[k, 7], x - blocks[k, 4], y - blocks[k, 5]
-            beyond_x, beyond_y = abs(dx * cos + dy * sin) - blocks[k, 8], abs(dy * cos - dx * sin) - blocks[k, 9]
-            outside = math.hypot(max(beyond_x, 0.0), max(beyond_y, 0.0))
-            out[i] = min(out[i], outside + min(max(beyond_x, beyond_y), 0.0))
+        out[i] = clearance_at(blocks, half_width, length, points[i, 0], points[i, 1])
+
+
+@compiled
+def segment_clearance(blocks, half_width, length, ax, ay, bx, by):
+    """Return the distance (m) of a segment from the nearest block, side or end."""
+    clearance = min(to_sides(half_width, length, ax, ay), to_sides(half_width, length, bx, by))
+    for k in range(len(blocks)):
+        if not is_farther(blocks[k], ax, ay, bx, by, clearance):
+            clearance = min(clearance, segment_to_block(ax, ay, bx, by, blocks[k]))
+    return clearance
 
 
 @compiled
@@ -80,10 +96,52 @@ def segment_clearances(blocks, half_width, length, starts, ends, out):
     """Compute the distances (n,) m of segments from `starts` to `ends`, (n, 2) each."""
     for i in range(len(starts)):
         ax, ay, bx, by = starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1]
-        out[i] = min(to_sides(half_width, length, ax, ay), to_sides(half_width, length, bx, by))
-        for k in range(len(blocks)):
-            if not is_farther(blocks[k], ax, ay, bx, by, out[i]):
-                out[i] = min(out[i], segment_to_block(ax, ay, bx, by, blocks[k]))
+        out[i] = segment_clearance(blocks, half_width, length, ax, ay, bx, by)
+
+
+@compiled
+def first_open(blocked, clearance, deck, room, start, offsets):
+    """Return the first of `offsets` (n, 2) from `start` (2,) with a clearance on deck `blocked`; -1 if there is none.
+
+    The segment to it keeps `room` on another `deck`. Decks are the first arguments of `clearance_at`.
+    """
+    for i in range(len(offsets)):
+        x, y = start[0] + offsets[i, 0], start[1] + offsets[i, 1]
+        is_open = clearance_at(*blocked, x, y) >= clearance
+        if is_open and segment_clearance(*deck, start[0], start[1], x, y) >= room:
+            return i
+    return -1
+
+
+@compiled
+def may_pass(deck, clearance, start, goal_x, cell):
+    """Return False if certainly no path with a clearance leads from `start` (2,) to x = `goal_x`, m.
+
+    A path leads from cell to cell of a grid, and comes near the centre of each: so these lack at most that distance of
+    the clearance.
+    """
+    _, half_width, length = deck
+    nx, ny = math.ceil(length / cell), math.ceil(2 * half_width / cell)
+    visited, stack, height = np.zeros((nx, ny), np.bool_), np.empty((nx * ny, 2), np.int64), 1
+    stack[0, 0] = min(max(math.floor(start[0] / cell), 0), nx - 1)
+    stack[0, 1] = min(max(math.floor((start[1] + half_width) / cell), 0), ny - 1)
+    min_clearance, last = clearance - cell * math.sqrt(0.5) - ROUNDING, math.floor((goal_x - ROUNDING) / cell)
+    visited[stack[0, 0], stack[0, 1]] = True
+    while height > 0:
+        height -= 1
+        i, j = stack[height, 0], stack[height, 1]
+        if i >= last:
+            return True
+        for to_i in range(max(i - 1, 0), min(i + 2, nx)):
+            for to_j in range(max(j - 1, 0), min(j + 2, ny)):
+                if visited[to_i, to_j]:
+                    continue
+                visited[to_i, to_j] = True
+                x, y = (to_i + 0.5) * cell, (to_j + 0.5) * cell - half_width
+                if clearance_at(*deck, x, y) >= min_clearance:
+                    stack[height, 0], stack[height, 1] = to_i, to_j
+                    height += 1
+    return False
 
 
 @compiled
@@ -141,46 +199,46 @@ def shorten(deck, path, points, ends):
 
 
 @compiled
-def best_parent(x, open_points, distances, costs, reach):
+def best_parent(x, points, open_points, costs, reach):
     """Return the open neighbour of point x through which its path is shortest, and that path's length, m.
 
     Of points in a line, it is the nearest: OMPL goes through neighbours in the order of their distances.
     """
-    parent, min_cost = -1, np.inf
+    parent, min_cost, nearest = -1, np.inf, np.inf
     for y in open_points:
-        edge = distances[x, y]
+        dx, dy = points[x, 0] - points[y, 0], points[x, 1] - points[y, 1]
+        edge = math.sqrt(dx * dx + dy * dy)
         cost = costs[y] + edge
-        if edge <= reach[x] and (cost < min_cost or (cost == min_cost and edge < distances[x, parent])):
-            parent, min_cost = y, cost
+        if edge <= reach and (cost < min_cost or (cost == min_cost and edge < nearest)):
+            parent, min_cost, nearest = y, cost, edge
     return parent, min_cost
 
 
 @compiled
-def measure_neighborhoods(points, neighbors, distances, reach):
-    """Write `distances` (n, n) m between points (n, 2), and the `reach` (n,) m in which each has so many `neighbors`.
+def measure(points, i, distances):
+    """Compute the `distances` (n,) of points (n, 2) from the i-th, m."""
+    for j in range(len(points)):
+        dx, dy = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
+        distances[j] = math.sqrt(dx * dx + dy * dy)
 
-    A point is the first of them itself. Where there are not so many points, the reach is infinite.
+
+@compiled
+def reach_among(distances, neighbors, within, near):
+    """Return the distance (m) of the point with so many `neighbors` among points at `distances` (n,), itself included.
+
+    Without so many points, it is infinite. It is looked for `within` a distance first; `near` (n,) is scratch.
     """
-    n = len(points)
-    for i in range(n):
-        for j in range(i + 1):
-            x, y = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
-            distances[i, j] = distances[j, i] = math.sqrt(x * x + y * y)
-    reach[:] = np.inf
-    if neighbors > n:
-        return
-    near, within = np.empty(n), np.inf
-    for i in range(n):
+    if neighbors > len(distances):
+        return np.inf
+    count = 0
+    while count < neighbors:
         count = 0
-        while count < neighbors:
-            count = 0
-            for j in range(n):
-                if distances[i, j] <= within:
-                    near[count] = distances[i, j]
-                    count += 1
-            within = np.inf
-        reach[i] = smallest(near[:count], neighbors - 1)
-        within = WIDER * reach[i]
+        for distance in distances:
+            if distance <= within:
+                near[count] = distance
+                count += 1
+        within = np.inf
+    return smallest(near[:count], neighbors - 1)
 
 
 @compiled
@@ -208,35 +266,53 @@ def smallest(numbers, place):
 
 
 @compiled
-def march(deck, points, goal_x, distances, reach, parents):
+def march(deck, points, goal_x, neighbors, parents):
     """Search `points` (n, 2) for a path from the first one to x = `goal_x` by FMT*, as OMPL does with nearest k.
 
-    `deck` are the first arguments of `edge_is_free`, `distances` (n, n) m. Points are neighbours if both have the other
-    within `reach` (n,) m. Returns the last point of the path, whose other points `parents` (n,) lead to; -1 if there is
-    none.
+    `deck` are the first arguments of `edge_is_free`. Points are neighbours if each is one of so many `neighbors` of the
+    other. Returns the last point of the path, whose other points `parents` (n,) lead to; -1 if there is none.
     """
-    states, costs = np.zeros(len(points), np.int8), np.zeros(len(points))
-    is_blocked, open_points = np.zeros(distances.shape, np.bool_), np.zeros(len(points), np.int64)
+    n = len(points)
+    states, costs, open_points = np.zeros(n, np.int8), np.zeros(n), np.zeros(n, np.int64)
+    reach, blocked_from = np.full(n, -1.0), np.full(n, -1)  # both are unknown
+    to_current, to_point, near, within = np.empty(n), np.empty(n), np.empty(n), np.inf
     current, num_open = 0, 1
     while current >= 0 and points[current, 0] < goal_x:
         states[current] = CLOSED
-        for x in range(len(points)):
-            if states[x] != UNVISITED or distances[current, x] > min(reach[current], reach[x]):
+        measure(points, current, to_current)
+        if reach[current] < 0:
+            reach[current] = reach_among(to_current, neighbors, within, near)
+        for x in range(n):
+            if states[x] != UNVISITED or to_current[x] > reach[current]:
                 continue
-            parent, cost = best_parent(x, open_points[:num_open], distances, costs, reach)
-            is_blocked[parent, x] = is_blocked[parent, x] or not edge_is_free(
-                *deck, points[parent, 0], points[parent, 1], points[x, 0], points[x, 1]
-            )
-            if not is_blocked[parent, x]:
+            if reach[x] < 0:
+                measure(points, x, to_point)
+                reach[x] = reach_among(to_point, neighbors, within, near)
+                within = WIDER * reach[x]
+            if to_current[x] > reach[x]:
+                continue
+            parent, cost = best_parent(x, points, open_points[:num_open], costs, reach[x])
+            if parent == blocked_from[x]:
+                continue
+            if edge_is_free(*deck, points[parent, 0], points[parent, 1], points[x, 0], points[x, 1]):
                 states[x], parents[x], costs[x] = OPEN, parent, cost
-        current, num_open = -1, 0
-        for x in range(len(points)):
-            if states[x] == OPEN:
-                open_points[num_open] = x
-                num_open += 1
-                if current < 0 or costs[x] < costs[current]:
-                    current = x
+            else:
+                blocked_from[x] = parent
+        current, num_open = list_open(states, costs, open_points)
     return current
+
+
+@compiled
+def list_open(states, costs, open_points):
+    """Write the points in state `OPEN`; return the one with the least costs, -1 if there is none, and how many."""
+    cheapest, count = -1, 0
+    for x in range(len(states)):
+        if states[x] == OPEN:
+            open_points[count] = x
+            count += 1
+            if cheapest < 0 or costs[x] < costs[cheapest]:
+                cheapest = x
+    return cheapest, count
 
 
 @compiled

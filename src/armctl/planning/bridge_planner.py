@@ -40,7 +40,11 @@ GOALS = 9
 RADIUS_MULTIPLIER = 1.5
 """FMT*'s factor on its connection radius: with it, each of 60 points has 50 neighbours, each of 120 points 58."""
 ESCAPE_DISTANCES, ESCAPE_ANGLES = np.linspace(0.02, 2.0, 100), np.linspace(-np.pi, np.pi, 48, endpoint=False)
-"""m, rad: offsets at which points with clearance are searched if the start has none."""
+ESCAPE_DIRECTIONS = np.column_stack((np.cos(ESCAPE_ANGLES), np.sin(ESCAPE_ANGLES)))
+ESCAPES = (ESCAPE_DISTANCES[:, None, None] * ESCAPE_DIRECTIONS).reshape(-1, 2)
+"""m: offsets at which points with clearance are searched if the start has none."""
+CELL = 0.05
+"""m: size of the cells in which it is seen that there is no path."""
 JITTER, ROUNDING = 1e-8, 1e-7
 """m: tolerances on distances, so that a gap of just the width needed counts as passable."""
 
@@ -96,7 +100,7 @@ def plan_path(
     for spread in options.searches if len(first_leg) else ():
         path, checked = _search(blocked, first_leg[-1], goal_x, clearance, _points(blocked, options.clearance, spread))
         edges += checked
-        if len(path):
+        if len(path) or not kernel.may_pass(blocked.deck, clearance, first_leg[-1], goal_x, CELL):
             break
     if not len(path) and room < options.clearance:
         return plan_path(bridge, start, goal_x, replace(options, clearance=room))
@@ -133,11 +137,8 @@ def _to_open_deck(bridge: BridgeMap, blocked: BridgeMap, start: Array, clearance
     """
     if blocked.clearance(start[None])[0] >= clearance:
         return start[None]
-    distances, angles = (grid.ravel() for grid in np.meshgrid(ESCAPE_DISTANCES, ESCAPE_ANGLES, indexing="ij"))
-    points = start + distances[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
-    points = points[blocked.clearance(points) >= clearance]
-    points = points[bridge.segment_clearance(np.broadcast_to(start, points.shape), points) >= room]
-    return np.vstack((start, points[0])) if len(points) else points
+    first = kernel.first_open(blocked.deck, clearance, bridge.deck, room, start, ESCAPES)
+    return np.vstack((start, start + ESCAPES[first])) if first >= 0 else np.zeros((0, 2))
 
 
 def _points(bridge: BridgeMap, clearance: float, spread: int) -> Array:
@@ -196,10 +197,8 @@ def _by_ompl(bridge: BridgeMap, points: Array, goal_x: float, clearance: float) 
 def _march(bridge: BridgeMap, points: Array, goal_x: float, clearance: float) -> Array:
     """Return the path that `_by_ompl` returns, compiled."""
     neighbors = math.ceil((2 * RADIUS_MULTIPLIER) ** 2 * (math.e / 2) * math.log(len(points)))
-    distances, reach = np.empty((len(points), len(points))), np.empty(len(points))
-    kernel.measure_neighborhoods(points, neighbors, distances, reach)
     parents = np.empty(len(points), dtype=np.int64)
-    last = kernel.march((*bridge.deck, clearance), points, goal_x, distances, reach, parents)
+    last = kernel.march((*bridge.deck, clearance), points, goal_x, neighbors, parents)
     indices = [last] if last >= 0 else []
     while last > 0:
         last = parents[last]

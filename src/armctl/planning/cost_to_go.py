@@ -1,4 +1,4 @@
-"""Path lengths from all over a bridge to the goal line, around the blocks: Dijkstra's algorithm on a lattice.
+"""Path lengths from all over a bridge to the goal line, around the blocks, on a lattice.
 
 Every lattice point is joined to 16 others, so paths are at most 2.8 % longer than the shortest, and 1 % on average. A
 point without clearance gets the length of the nearest point that has it, plus a penalty.
@@ -10,14 +10,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from armctl.core.arrays import Array
+from armctl.kernels import cost_to_go as kernel
 from armctl.scene import BridgeMap
 
 STEPS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
 """Offsets from a point to its neighbours, in spacings; edges run both ways."""
+OTHER_ROWS = np.array([(sign * right, sign * left) for right, left in STEPS for sign in (1, -1) if right])
+"""Those of them that lead to other rows, both ways."""
 OFF_CLEARANCE = 3.0
 """Path length (m) added per metre from a point to the nearest one with clearance."""
 
@@ -46,14 +47,13 @@ class Lattice:
 
     def paths(self, bridge: BridgeMap, goal_x: float, clearance: float) -> Array:
         """Return lengths around the blocks only, (nx, ny) m: infinite where there is no path with the clearance."""
-        points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
-        free = (bridge.clearance(points.reshape(-1, 2)) >= clearance).reshape(points.shape[:2])
-        beyond_goal = points[..., 0] >= goal_x
-        first, second, edge_lengths = self._edges
-        open_ = free.ravel()[first] & free.ravel()[second]
-        graph = csr_array((edge_lengths[open_], (first[open_], second[open_])), shape=(free.size, free.size))
-        lengths = dijkstra(graph, directed=False, indices=np.flatnonzero(beyond_goal & free), min_only=True)
-        return np.where(beyond_goal, 0.0, lengths.reshape(free.shape))
+        free = bridge.free(*self.axes, clearance)
+        beyond_goal = np.broadcast_to(self.axes[0][:, None] >= goal_x, free.shape)
+        lengths = np.full(np.add(free.shape, 2 * kernel.PAD), np.inf)
+        inside = lengths[kernel.PAD : -kernel.PAD, kernel.PAD : -kernel.PAD]
+        inside[beyond_goal & free] = 0.0
+        kernel.spread(lengths, free, OTHER_ROWS, self._edges)
+        return np.where(beyond_goal, 0.0, inside)
 
     def nearest(self, mask: NDArray[np.bool_]) -> tuple[tuple[NDArray[np.intp], ...], Array]:
         """Return indices of the nearest point in the `mask` (nx, ny) to each point, and its distance, (nx, ny) m."""
@@ -87,14 +87,6 @@ class Lattice:
         return np.array([axis[1] - axis[0] for axis in self.axes])
 
     @cached_property
-    def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Indices of the joined points, and the lengths of the edges."""
-        index = np.arange(np.prod(self.shape)).reshape(self.shape)
-        first, second, lengths = [], [], []
-        for right, left in STEPS:
-            begin, end = max(0, -left), index.shape[1] - max(0, left)
-            starts = index[: len(index) - right, begin:end].ravel()
-            first.append(starts)
-            second.append(index[right:, begin + left : end + left].ravel())
-            lengths.append(np.full(len(starts), np.hypot(*(self.spacings * (right, left)))))
-        return np.concatenate(first), np.concatenate(second), np.concatenate(lengths)
+    def _edges(self) -> Array:
+        """Lengths of the edges to `OTHER_ROWS`, and to the next point within a row, m."""
+        return np.asarray(np.hypot(*(np.vstack((OTHER_ROWS, (0, 1))) * self.spacings).T))

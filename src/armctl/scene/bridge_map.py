@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.arrays import Array
 from armctl.core.errors import ConfigurationError
@@ -49,6 +49,11 @@ class BridgeMap:
         clearances = np.empty(len(points))
         kernel.clearances(*self.deck, points, clearances)
         return clearances
+
+    def free(self, x: Array, y: Array, clearance: float) -> NDArray[np.bool_]:
+        """Return which points of a lattice have a clearance (m), (nx, ny), for its `x` (nx,) and `y` (ny,), m."""
+        points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        return np.asarray((self.clearance(points) >= clearance).reshape(len(x), len(y)))
 
     def nearest(self, points: ArrayLike) -> Array:
         """Return the point of each block and of the two sides nearest to each of points (m, 2): (m, k + 2, 2)."""
