@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -36,7 +36,7 @@ class Task:
     """None before the first cell is played."""
     contenders: Contenders = field(default_factory=dict)
     """Empty before the undisturbed cell of a suite was played, and where no cell stops when it is decided."""
-    spent: Counter[str] = field(default_factory=Counter)
+    spent: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     """Decision times (ms) by policy, of all cells so far."""
 
     @property
