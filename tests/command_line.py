@@ -77,7 +77,7 @@ def armctl(*arguments, cwd, check=True, disk=None, **variables):
                 status = exit.code
             finally:
                 for name, module in list(sys.modules.items()):
-                    if Path(getattr(module, "__file__", None) or "/").is_relative_to(cwd):
+                    if (getattr(module, "__file__", None) or "").startswith(f"{cwd}{os.sep}"):
                         del sys.modules[name]
                 for env_id in set(gymnasium.registry) - registered:
                     del gymnasium.registry[env_id]

@@ -68,6 +68,7 @@ def pytest_collection():
         gc.enable()
         gc.collect()
         gc.freeze()
+        gc.set_threshold(20_000)  # 700 by default: a collection each few milliseconds, 2 % of the tests' time
 
 
 @cache

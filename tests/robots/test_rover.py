@@ -8,7 +8,7 @@ from armctl.tasks.bridge.world import build_bridge_world
 
 @pytest.fixture(scope="module")
 def deck():
-    return build_bridge_world(60.0, 20.0, 0, [], 0.002, 4, (8, 8), 90.0)
+    return build_bridge_world(60.0, 20.0, 0, (), 0.002, 4, (8, 8), 90.0)
 
 
 def drive(deck, commands, seconds=2.0):

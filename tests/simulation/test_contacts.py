@@ -29,7 +29,7 @@ GAP, SPEED = 0.001, 0.5
 
 @pytest.fixture(scope="module")
 def bridge():
-    return build_bridge_world(20.0, 4.0, 1, [WALKER_RADIUS], 0.002, 4, (8, 8), 90.0)
+    return build_bridge_world(20.0, 4.0, 1, (WALKER_RADIUS,), 0.002, 4, (8, 8), 90.0)
 
 
 def aim(model, part, surface):

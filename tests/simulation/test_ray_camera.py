@@ -13,7 +13,7 @@ RESOLUTION, FIELD_OF_VIEW = (48, 32), 90.0
 
 @pytest.fixture(scope="module")
 def bridge():
-    return build_bridge_world(20.0, 4.0, 3, [0.25, 0.25], 0.005, 4, RESOLUTION, FIELD_OF_VIEW)
+    return build_bridge_world(20.0, 4.0, 3, (0.25, 0.25), 0.005, 4, RESOLUTION, FIELD_OF_VIEW)
 
 
 def furnished(model, n):

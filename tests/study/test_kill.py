@@ -19,12 +19,12 @@ from ..stores import timeless
 
 PLAYED = ["random", "reach_ik", "--out", "out", "--set", "max_episode_steps=12", "--policy-seed", "1"]
 COMMANDS = {
-    "compare": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3"],
-    "workers": ["compare", *PLAYED, "--episodes", "60", "--worlds", "3", "--workers", "2"],
+    "compare": ["compare", *PLAYED, "--episodes", "30", "--worlds", "3"],
+    "workers": ["compare", *PLAYED, "--episodes", "30", "--worlds", "3", "--workers", "2"],
     "until": ["compare", *PLAYED, "--until", "decided", "--at-most", "60", "--margin", "0.01"],
-    "sweep": ["sweep", *PLAYED, "--episodes", "12", "--disturbance", "delay=1,2", "--disturbance", "noise=0.02"],
+    "sweep": ["sweep", *PLAYED, "--episodes", "6", "--disturbance", "delay=1,2", "--disturbance", "noise=0.02"],
 }
-EPISODES = {"compare": 120, "workers": 120, "until": 40, "sweep": 96}
+EPISODES = {"compare": 60, "workers": 60, "until": 40, "sweep": 48}
 KILLS = {("compare", False): 2, ("sweep", False): 2, ("workers", False): 1, ("workers", True): 1, ("until", False): 1}
 """Kills of a run, or of its workers, before it may finish."""
 
@@ -112,7 +112,7 @@ def test_what_a_killed_run_left_unfinished_is_removed(tmp_path):
 def test_a_second_run_is_refused_while_one_writes(tmp_path, verb):
     command, out = [verb, *PLAYED, "--episodes", "100000", "--overwrite"], tmp_path / "out"
     with subprocess.Popen([ARMCTL, *command, "--seed", "1"], cwd=tmp_path, stdout=-1, stderr=-1, text=True) as process:
-        while process.poll() is None and written(out) < 50:
+        while process.poll() is None and written(out) < 20:
             time.sleep(0.01)
         second = armctl(*command, "--seed", "2", cwd=tmp_path, check=False)
         process.send_signal(signal.SIGINT)

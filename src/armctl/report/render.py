@@ -1,6 +1,7 @@
 """Renders pages: one HTML file that makes no network requests."""
 
 import base64
+import functools
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -21,6 +22,15 @@ from armctl.verdict.summary_tables import trained, trainings_in_words
 
 def write_page(out: Path, template: str, page: Mapping[str, Any]) -> None:
     """Write a page, everything in which is escaped. Raises `ResultsError` if it cannot be written."""
+    written = datetime.now().strftime("%Y-%m-%d %H:%M")
+    text = _environment().get_template(template).render(page, written=written, dark=DARK, plotly=Markup(get_plotlyjs()))
+    with os_errors_as(f"the report {out} cannot be written"):
+        write_atomically(out, text)
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
+    """Return the templates, which are compiled once."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armctl.report", "."),
         autoescape=True,
@@ -39,10 +49,7 @@ def write_page(out: Path, template: str, page: Mapping[str, Any]) -> None:
         "training": trained,
         "training_more": _training_more,
     }
-    written = datetime.now().strftime("%Y-%m-%d %H:%M")
-    text = environment.get_template(template).render(page, written=written, dark=DARK, plotly=Markup(get_plotlyjs()))
-    with os_errors_as(f"the report {out} cannot be written"):
-        write_atomically(out, text)
+    return environment
 
 
 def _training_more(cost: TrainingCost) -> str:

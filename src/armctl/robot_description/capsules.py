@@ -60,8 +60,8 @@ def _enclosing_circle_centre(points: Array, iterations: int = 100) -> Array:
 
     Badoiu and Clarkson, "Smaller core-sets for balls" (2003): ever smaller steps towards the farthest point.
     """
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    centre, (x, y) = (points.min(axis=0) + points.max(axis=0)) / 2, np.ascontiguousarray(points.T)
     for i in range(1, iterations):
-        farthest = points[np.argmax(((points - centre) ** 2).sum(axis=1))]
+        farthest = points[np.argmax((x - centre[0]) ** 2 + (y - centre[1]) ** 2)]
         centre = centre + (farthest - centre) / (i + 1) * 0.5
     return np.asarray(centre)

@@ -127,7 +127,7 @@ def reasons_not_to_resume(stored: Mapping[str, Any], local: Mapping[str, Any]) -
         if isinstance(value, str) and value.startswith(UNKNOWN)
     ]
     loaded = stored.get(LOADED)
-    present = {file: _checksum_at(Path(file)) for file in loaded} if isinstance(loaded, Mapping) else None
+    present = {file: _checksum_at(Path(file).resolve()) for file in loaded} if isinstance(loaded, Mapping) else None
     return unknown or differences(stored, {**local, LOADED: present})
 
 
@@ -167,12 +167,9 @@ def own_modules() -> dict[str, Path]:
 
 def _loaded() -> dict[str, str]:
     """Return checksums of the files of one's own loaded modules, by their paths, relative to this folder if in it."""
-    files = set(_own_files().values())
-    folder = Path.cwd()
-    return {
-        str(file.relative_to(folder) if file.is_relative_to(folder) else file): _checksum_at(file)
-        for file in sorted(files)
-    }
+    files = {str(file): file for file in _own_files().values()}
+    folder = os.path.join(Path.cwd(), "")
+    return {path.removeprefix(folder): _checksum_at(files[path]) for path in sorted(files)}
 
 
 def _own_files() -> dict[str, Path]:
@@ -189,12 +186,12 @@ def _own_files() -> dict[str, Path]:
 
 
 def _checksum_at(file: Path) -> str:
-    """Return the checksum of a module's file; another text if it is gone or has changed since it was loaded."""
+    """Return the checksum of a module's resolved file; another text if it is gone or has changed since it was loaded."""
     try:
         content = file.read_bytes()
     except OSError:
         return "gone"
-    changed = _first_seen.setdefault(file.resolve(), content) != content
+    changed = _first_seen.setdefault(file, content) != content
     return f"changed since it was imported, to {short_checksum(content)}" if changed else short_checksum(content)
 
 

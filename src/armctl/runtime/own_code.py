@@ -74,4 +74,9 @@ def _libraries() -> tuple[Path, ...]:
 def file_of(module: ModuleType) -> Path | None:
     """Return a module's file; None if it has none that exists."""
     file = getattr(module, "__file__", None)
-    return Path(file).resolve() if file and Path(file).is_file() else None
+    return _resolved(os.path.abspath(file)) if file and os.path.isfile(file) else None
+
+
+@functools.cache
+def _resolved(file: str) -> Path:
+    return Path(file).resolve()

@@ -83,7 +83,7 @@ class BridgeTask(Task):
         self.foresight = ("pedestrians",) if options.walkers else ()
         memory = round(CONTROL_PERIOD / options.timestep)
         model = build_bridge_world(
-            options.deck_length, options.deck_width, options.blocks, [options.walker_radius] * options.walkers,
+            options.deck_length, options.deck_width, options.blocks, (options.walker_radius,) * options.walkers,
             options.timestep, memory, options.size, options.field_of_view,
         )  # fmt: skip
         super().__init__(Simulation(model, n, threads, SPEED_LIMITS), CONTROL_PERIOD)

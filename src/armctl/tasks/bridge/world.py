@@ -1,6 +1,7 @@
 """Builds the bridge's MuJoCo model: deck, barriers, blocks, walkers and the rover, in the sizes of the options."""
 
-from collections.abc import Sequence
+import copy
+import functools
 from typing import Any
 
 import mujoco
@@ -64,7 +65,7 @@ def build_bridge_world(
     length: float,
     width: float,
     blocks: int,
-    walker_radii: Sequence[float],
+    walker_radii: tuple[float, ...],
     timestep: float,
     memory: int,
     resolution: tuple[int, int],
@@ -72,8 +73,23 @@ def build_bridge_world(
 ) -> mujoco.MjModel:
     """Return a bridge of `length` by `width` (m), with the rover standing at its start in the keyframe `start`.
 
-    `walker_radii` are those of the moving obstacles, m. Contact sensors remember `memory` physics steps.
+    `walker_radii` are those of the moving obstacles, m. Contact sensors remember `memory` physics steps. Each bridge is
+    compiled once; the model returned is a copy.
     """
+    return copy.copy(_compiled(length, width, blocks, walker_radii, timestep, memory, resolution, field_of_view))
+
+
+@functools.lru_cache(maxsize=8)
+def _compiled(
+    length: float,
+    width: float,
+    blocks: int,
+    walker_radii: tuple[float, ...],
+    timestep: float,
+    memory: int,
+    resolution: tuple[int, int],
+    field_of_view: float,
+) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(world_path("bridge")))
     spec.option.timestep = timestep
     _resize_deck(spec, length, width)
