@@ -116,11 +116,12 @@ def idle_machine(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def operators_of_onnx():
-    """Torch makes the table of operators for its exporter once, not for every graph: half of a small one's time."""
+    """Torch looks up its operators for its exporter once, not for every graph: half of a small one's time."""
     if module := sys.modules.get("torch.onnx._internal.exporter._registration"):
-        registry = module.ONNXRegistry
+        registry, operators = module.ONNXRegistry, sys.modules["torch._export.utils"]
         if not hasattr(registry.from_torchlib, "cache_info"):
             registry.from_torchlib = staticmethod(cache(registry.from_torchlib))
+            vars(operators)["_materialize_cpp_cia_ops"] = cache(operators._materialize_cpp_cia_ops)
 
 
 @pytest.fixture(scope="session")

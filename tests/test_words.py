@@ -5,6 +5,7 @@ function with a verb.
 """
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -75,9 +76,9 @@ NO_OPENING_OF_FUNCTIONS = re.compile(rf"(?:{QUESTION}|{PREPOSITION}|a|an|the)\b"
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def bound_names(tree):
+def bound_names(nodes):
     """Yield (line, name) of all names that a module binds, attributes of `self` included."""
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case ast.Name(id=name, ctx=ast.Store()):
                 yield node.lineno, name
@@ -93,9 +94,9 @@ def bound_names(tree):
                 yield node.lineno, name
 
 
-def counts_of_worlds(tree):
+def counts_of_worlds(nodes):
     """Yield lines at which `worlds` is a number by its annotation."""
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case ast.arg(arg=name, annotation=ast.expr() as annotation) if name == WORLDS:
                 pass
@@ -107,9 +108,9 @@ def counts_of_worlds(tree):
             yield node.lineno
 
 
-def docstrings(tree):
+def docstrings(nodes):
     """Yield (line, text, forbidden opening) of docstrings: of modules, classes, functions, and beneath values."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, Function) and ast.get_docstring(node):
             is_property = any("property" in ast.unparse(decorator) for decorator in node.decorator_list)
             yield node.lineno, ast.get_docstring(node), NO_OPENING if is_property else NO_OPENING_OF_FUNCTIONS
@@ -123,6 +124,17 @@ def docstrings(tree):
                             yield following.lineno, words, NO_OPENING
 
 
+def nodes_of(code):
+    return list(ast.walk(ast.parse(code)))
+
+
+@functools.cache
+def findings(path):
+    """Return what `bound_names`, `counts_of_worlds` and `docstrings` find in a file."""
+    nodes = nodes_of(path.read_text())
+    return tuple(tuple(find(nodes)) for find in (bound_names, counts_of_worlds, docstrings))
+
+
 def files(package):
     return sorted(package.rglob("*.py")) if package.is_dir() else [package]
 
@@ -132,7 +144,7 @@ def test_names_are_nouns(package):
     refused = [
         f"{path.relative_to(HOME)}:{line}: {name}"
         for path in files(package)
-        for line, name in bound_names(ast.parse(path.read_text()))
+        for line, name in findings(path)[0]
         if NOT_NAMES.fullmatch(name) and (path, name) not in ALLOWED
     ]
     assert not refused, "\n".join(["not names by themselves:", *refused])
@@ -143,7 +155,7 @@ def test_a_number_of_worlds_is_called_num_envs(package):
     refused = [
         f"{path.relative_to(HOME)}:{line}"
         for path in files(package)
-        for line in counts_of_worlds(ast.parse(path.read_text()))
+        for line in findings(path)[1]
         if path not in PUBLIC_WORLDS
     ]
     assert not refused, "\n".join(["`worlds` is a number there:", *refused])
@@ -155,20 +167,16 @@ def test_docstrings_begin_with_a_noun_or_a_verb(package):
     refused = [
         f"{path.relative_to(HOME)}:{line}: {text.splitlines()[0]}"
         for path in files(package)
-        for line, text, no_opening in docstrings(ast.parse(path.read_text()))
+        for line, text, no_opening in findings(path)[2]
         if no_opening.match(text)
     ]
     assert not refused, "\n".join(["fragments:", *refused])
 
 
 def test_exceptions_are_used():
-    unused = [
-        (path.name, name)
-        for path, name in ALLOWED
-        if name not in {bound for _, bound in bound_names(ast.parse(path.read_text()))}
-    ]
+    unused = [(path.name, name) for path, name in ALLOWED if name not in {bound for _, bound in findings(path)[0]}]
     assert not unused
-    assert all(any(counts_of_worlds(ast.parse(path.read_text()))) for path in PUBLIC_WORLDS)
+    assert all(findings(path)[1] for path in PUBLIC_WORLDS)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +194,7 @@ def test_exceptions_are_used():
     ],
 )
 def test_bound_words_are_recognised(code):
-    assert any(NOT_NAMES.fullmatch(name) for _, name in bound_names(ast.parse(code)))
+    assert any(NOT_NAMES.fullmatch(name) for _, name in bound_names(nodes_of(code)))
 
 
 @pytest.mark.parametrize(
@@ -200,4 +208,4 @@ def test_bound_words_are_recognised(code):
     ],
 )
 def test_fragments_are_recognised(code):
-    assert any(no_opening.match(text) for _, text, no_opening in docstrings(ast.parse(code)))
+    assert any(no_opening.match(text) for _, text, no_opening in docstrings(nodes_of(code)))
