@@ -25,7 +25,7 @@ from armctl.rl.networks.layers import (
     missing_turn,
     rotated,
 )
-from armctl.rl.networks.postures import POSTURES, Postures
+from armctl.rl.networks.postures import Postures
 from armctl.scene import TILTED_BOX_NUMBERS
 from armctl.tasks.reach import observation_sizes
 from armctl.tasks.reach.observation import LENGTH_SCALE
@@ -101,7 +101,7 @@ class BoxDistanceFeatures(BaseFeaturesExtractor):
     def _goal(self, target: torch.Tensor, axes: torch.Tensor, boxes: "BoxFrames") -> torch.Tensor:
         """Return joint positions (n, dof) at the target in the free posture nearest to home, or else with most room."""
         joints, exists = self.postures(target, axes)
-        points = self.links(joints.flatten(0, 1)).unflatten(0, (-1, POSTURES))
+        points = self.links(joints)
         room = torch.minimum(boxes.distances(points.flatten(1, 2)).unflatten(1, points.shape[1:3]), points[..., 2])
         room = torch.where(exists, (room - self.links.radii).amin(dim=2), -ABSENT)
         rank = torch.where(room > 0, NEAREST / (1 + (joints - self.home).norm(dim=2)), room)

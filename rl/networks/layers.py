@@ -41,8 +41,8 @@ def for_each(worlds: torch.Tensor, numbers: torch.Tensor) -> torch.Tensor:
 
 def rotated(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     """Return vectors (..., 3) rotated about the vertical by angles (..., 1), rad."""
-    x, y, z = vectors.split(1, dim=-1)
-    return torch.cat((angles.cos() * x - angles.sin() * y, angles.sin() * x + angles.cos() * y, z), dim=-1)
+    (x, y, z), cos, sin = vectors.split(1, dim=-1), angles.cos(), angles.sin()
+    return torch.cat((cos * x - sin * y, sin * x + cos * y, z), dim=-1)
 
 
 def object_motion(velocity: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
@@ -109,16 +109,16 @@ def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 def joint_frames(
     turns: torch.Tensor, offsets: torch.Tensor, joints: torch.Tensor
 ) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """Yield the rotation (n, 3, 3) and origin (n, 3) of each joint's frame at `joints` (n, dof).
+    """Yield the rotation (..., 3, 3) and origin (..., 3) of each joint's frame at `joints` (..., dof).
 
     `turns` (3, dof, 3, 3) and `offsets` (dof, 3) are base, sine and versine, and offset of `ArmModel.geometry`.
     """
     for k in range(turns.shape[1]):
-        angle = joints[:, k, None, None]
+        angle = joints[..., k, None, None]
         base, sine, versine = turns[:, k]
         turn = base + angle.sin() * sine + (1 - angle.cos()) * versine
         if k == 0:
-            rotation, origin = turn, for_each(joints[:, :1], offsets[0])
+            rotation, origin = turn, for_each(joints[..., :1], offsets[0])
         else:
             origin = origin + torch.matmul(rotation, offsets[k])
             rotation = torch.matmul(rotation, turn)
@@ -141,16 +141,16 @@ class LinkPoints(torch.nn.Module):
         self.register_buffer("radii", torch.tensor(geometry["radii"])[order])
 
     def forward(self, joints: torch.Tensor) -> torch.Tensor:
-        """Return points (n, p, 3) m in the base's frame, at `joints` (n, dof)."""
+        """Return points (..., p, 3) m in the base's frame, at `joints` (..., dof)."""
         placed, first = [], 0
         for points, (rotation, origin) in zip(
             self.points_of, joint_frames(self.turns, self.offsets, joints), strict=True
         ):
             if points:
                 local = self.points[first : first + len(points)]
-                placed.append(origin[:, None] + torch.matmul(local, rotation.transpose(1, 2)))
+                placed.append(origin[..., None, :] + torch.matmul(local, rotation.transpose(-1, -2)))
                 first += len(points)
-        return torch.cat(placed, dim=1)
+        return torch.cat(placed, dim=-2)
 
 
 def length(vectors: torch.Tensor) -> torch.Tensor:

@@ -1,6 +1,7 @@
 """Comparisons that stop when their verdict is decided: the same episodes as of a fixed number, only fewer."""
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from armctl.stats.difference import MARGIN
 from armctl.stats.robustness import change_between
 from armctl.stats.sequential import ConfidenceSequence
 from armctl.study import compare, suite, sweep
+from armctl.study.line_up import line_up
 from armctl.study.plan import comparison_plan, sweep_plan
 from armctl.study.results import read_comparison, read_study
 from armctl.study.suite_plan import suite_plan
@@ -278,9 +280,14 @@ def test_a_task_with_one_kind_alone_has_nothing_to_decide(monkeypatch, tmp_path)
     assert [comparison.facts.planned for comparison in found.cells.values()] == [10, 10]
 
 
+line_up_once = functools.cache(line_up)
+"""Names of the policies that can act in a task, all of which are made to find out."""
+
+
 @pytest.mark.parametrize("quick", [False, True])
 @pytest.mark.parametrize("until", [None, "decided"])
-def test_a_suite_stops_unless_a_number_is_fixed(quick, until):
+def test_a_suite_stops_unless_a_number_is_fixed(quick, until, monkeypatch):
+    monkeypatch.setattr("armctl.study.suite_plan.line_up", line_up_once)
     undisturbed, at_most = (100, 100) if quick else (200, 50)
     options: Any = {"until": until} if until else {}
     for episodes, expected in ((None, (undisturbed, at_most, True)), (7, (7, 7, until is not None))):
@@ -332,7 +339,8 @@ def test_looks_take_of_policies_what_summaries_tell(swept):
         assert [(name, facts.side, facts.spared) for name, facts in comparison.players.items()] == told
 
 
-def test_verdicts_that_are_told_together_are_corrected_together():
+def test_verdicts_that_are_told_together_are_corrected_together(monkeypatch):
+    monkeypatch.setattr("armctl.study.suite_plan.line_up", line_up_once)
     reach = ["armctl/ArmReach-v0", "armctl/ArmReachMoving-v0"]
     together = suite_plan(reach, True, 20, 0, {"until": "decided"})
     plain, delayed = together.cells[:2]

@@ -186,7 +186,7 @@ def _own_files() -> dict[str, Path]:
 
 
 def _checksum_at(file: Path) -> str:
-    """Return the checksum of a module's resolved file; another text if it is gone or has changed since it was loaded."""
+    """Return the checksum of a resolved file; another text if it is gone or has changed since it was loaded."""
     try:
         content = file.read_bytes()
     except OSError:
