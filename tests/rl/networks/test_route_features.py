@@ -83,7 +83,7 @@ def test_a_graph_acts_like_the_network(features, tmp_path, monkeypatch):
     monkeypatch.setattr(route_features, "SWEEPS", 6)
 
     def near_the_goal(states):
-        states[:, 0] = features.surroundings.goal_x - [0.8, 1.1, 1.4]
+        states[:, 0] = features.surroundings.goal_x - np.array([0.8, 1.1, 1.4])
         ways = features(torch.as_tensor(states))[:, -BEARINGS * len(RADII) :]
         assert ((ways > 0) & (ways < LONGEST)).float().mean() > 0.5
         return states
