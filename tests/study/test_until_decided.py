@@ -280,8 +280,7 @@ def test_a_task_with_one_kind_alone_has_nothing_to_decide(monkeypatch, tmp_path)
     assert [comparison.facts.planned for comparison in found.cells.values()] == [10, 10]
 
 
-line_up_once = functools.cache(line_up)
-"""Names of the policies that can act in a task, all of which are made to find out."""
+line_up_once = functools.cache(line_up)  # which makes all policies of a task
 
 
 @pytest.mark.parametrize("quick", [False, True])
