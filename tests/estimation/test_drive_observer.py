@@ -150,3 +150,17 @@ def test_each_robot_is_observed_alone_and_forgotten_alone():
     together.observe(np.zeros((3, 5)))
     assert together.delay.tolist() == [2, 0, 2]
     np.testing.assert_array_equal(together.response.acceleration[1], OPTIONS.acceleration)
+
+
+def test_nothing_of_a_forgotten_robot_is_left_in_what_is_filtered():
+    rng = np.random.default_rng(4)
+    used, new = DriveObserver(1), DriveObserver(1)
+    drives = Drives(1, (3.0, 9.0))
+    for velocities in journey(rng, 40, 1):
+        used.observe(drives.states + rng.normal(0, 0.05, (1, 5)), noisy=True)
+        drives.step(used.command(velocities))
+    used.reset(np.array([0]))
+    for velocities in journey(rng, 5, 1):
+        states = rng.normal(0, 0.05, (1, 5))
+        np.testing.assert_array_equal(used.observe(states, noisy=True), new.observe(states, noisy=True))
+        np.testing.assert_array_equal(used.command(velocities), new.command(velocities))

@@ -167,6 +167,7 @@ class DriveObserver:
     def reset(self, ids: NDArray[np.integer]) -> None:
         """Forget robots `ids`, which begin anew."""
         self._responses.reset(ids)
+        self.response.reset(ids)
         self._predictor.reset(ids)
         self._velocities[ids] = np.nan
         self._filter.reset(ids=ids)
