@@ -41,11 +41,11 @@ class TimedPolicy:
         """Time to make it, if that was measured."""
         self.reset_ms = np.zeros(n)
         """(n,) the time of the reset with which each world's current episode began."""
-        self.has_acted = False
+        self._fresh = True
 
     def reset(self, ids: NDArray[np.int32], episodes: Sequence[int]) -> Errors:
         """Start these `episodes` in the worlds `ids`."""
-        self.first_call[ids] = not self.has_acted
+        self.first_call[ids] = self._fresh
         start, errors = perf_counter(), Errors()
         try:
             self.policy.reset(ids)
@@ -64,7 +64,7 @@ class TimedPolicy:
         n = len(self.first_call)
         num_acting = self.policy.num_acting if isinstance(self.policy, PerWorld) else n
         spent = np.full(n, 1e3 * self._seconds_since(start) / num_acting)
-        self.has_acted = True
+        self._fresh = False
         return actions, np.round(spent, DIGITS), errors
 
     def idle(self, ids: NDArray[np.integer[Any]]) -> None:

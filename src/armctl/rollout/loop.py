@@ -132,7 +132,7 @@ class _Player:
         The other worlds stand still. `attempts` are first attempts, by episode. Raises `_UnknownWorldFailed`.
         """
         self._numbers, self._playing = numbers, playing
-        starting = playing.copy() if attempts is None and self._timed.has_acted else np.ones(len(numbers), dtype=bool)
+        starting = np.ones(len(numbers), dtype=bool)
         seeds: list[int] | None = [self._seed] * len(numbers)
         while playing.any():
             errors = Errors()
