@@ -112,7 +112,7 @@ def test_what_a_killed_run_left_unfinished_is_removed(tmp_path):
 def test_a_second_run_is_refused_while_one_writes(tmp_path, verb):
     command, out = [verb, *PLAYED, "--episodes", "100000", "--overwrite"], tmp_path / "out"
     with subprocess.Popen([ARMCTL, *command, "--seed", "1"], cwd=tmp_path, stdout=-1, stderr=-1, text=True) as process:
-        while process.poll() is None and written(out) < 20:
+        while process.poll() is None and written(out) < 50:
             time.sleep(0.01)
         second = armctl(*command, "--seed", "2", cwd=tmp_path, check=False)
         process.send_signal(signal.SIGINT)
