@@ -102,11 +102,5 @@ def reduce(depths, rays, farthest, columns):
 
 @compiled
 def median(values, count):
-    """Return the median of the first `count` values, which are sorted for that; NaN if there is none."""
-    for k in range(1, count):
-        value, place = values[k], k
-        while place > 0 and value < values[place - 1]:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
-    return (values[(count - 1) // 2] + values[count // 2]) / 2 if count > 0 else np.nan
+    """Return the median of the first `count` values; NaN if there is none."""
+    return np.median(values[:count]) if count > 0 else np.nan

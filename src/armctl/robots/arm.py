@@ -1,6 +1,5 @@
 """A simulated arm: from actions to joint servos, and from the simulation's state to sensor readings."""
 
-import copy
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +20,7 @@ from armctl.simulation import Simulation
 from armctl.simulation.control_step import NO_PARTS
 from armctl.simulation.impacts import add_impact_sensors
 from armctl.simulation.planning_model import Connect, Step
-from armctl.simulation.worlds import world_path
+from armctl.simulation.worlds import compiled_once, world_path
 
 CONTROLS = ("position", "relative", "delta", "velocity", "torque")
 
@@ -152,6 +151,7 @@ def speed_limits(description: ArmDescription) -> dict[str, float]:
     return dict(zip(names, description.limits.velocity, strict=True))
 
 
+@compiled_once
 def build_arm_world(
     description: ArmDescription,
     control: str,
@@ -161,22 +161,12 @@ def build_arm_world(
     """Return the MJCF world `models/arm_reach.xml` with the arm at its origin, its servos, and the keyframe `home`.
 
     `furnish`, a function of a module, adds to the `MjSpec` what else a task needs, and `add_motors` further motors,
-    after those of the arm. Each world is compiled once; the model returned is a copy.
+    after those of the arm.
 
     Raises `ConfigurationError` if `control` is not one of `CONTROLS`.
     """
     if control not in CONTROLS:
         raise unknown_name("control", control, CONTROLS)
-    return copy.copy(_compiled(description, control, furnish, add_motors))
-
-
-@functools.lru_cache(maxsize=8)
-def _compiled(
-    description: ArmDescription,
-    control: str,
-    furnish: Callable[[Any, ArmDescription], None] | None,
-    add_motors: Callable[[Any], None] | None,
-) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(world_path("arm_reach")))
     spec.compiler.fusestatic = False
     arm = mujoco.MjSpec.from_string(_with_compiler_options(description.urdf))

@@ -1,7 +1,5 @@
 """Builds the bridge's MuJoCo model: deck, barriers, blocks, walkers and the rover, in the sizes of the options."""
 
-import copy
-import functools
 from typing import Any
 
 import mujoco
@@ -11,7 +9,7 @@ from armctl.robots.rover import PARTS, PREFIX, SPEED_LIMITS, add_rover
 from armctl.simulation.contacts import add_contact_sensors
 from armctl.simulation.impacts import add_impact_sensors
 from armctl.simulation.ray_camera import vertical_field_of_view
-from armctl.simulation.worlds import world_path
+from armctl.simulation.worlds import compiled_once, world_path
 from armctl.tasks.bridge.options import WALKER_RADIUS
 
 START_X, GOAL_MARGIN = 1.0, 1.0
@@ -61,6 +59,7 @@ def walker_names(count: int) -> list[str]:
     return [f"walker_{i}" for i in range(count)]
 
 
+@compiled_once
 def build_bridge_world(
     length: float,
     width: float,
@@ -73,23 +72,8 @@ def build_bridge_world(
 ) -> mujoco.MjModel:
     """Return a bridge of `length` by `width` (m), with the rover standing at its start in the keyframe `start`.
 
-    `walker_radii` are those of the moving obstacles, m. Contact sensors remember `memory` physics steps. Each bridge is
-    compiled once; the model returned is a copy.
+    `walker_radii` are those of the moving obstacles, m. Contact sensors remember `memory` physics steps.
     """
-    return copy.copy(_compiled(length, width, blocks, walker_radii, timestep, memory, resolution, field_of_view))
-
-
-@functools.lru_cache(maxsize=8)
-def _compiled(
-    length: float,
-    width: float,
-    blocks: int,
-    walker_radii: tuple[float, ...],
-    timestep: float,
-    memory: int,
-    resolution: tuple[int, int],
-    field_of_view: float,
-) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(world_path("bridge")))
     spec.option.timestep = timestep
     _resize_deck(spec, length, width)
