@@ -1,10 +1,12 @@
-"""The cache of compiled kernels: damage to it, a full disk and others' folders stop nothing."""
+"""The cache of compiled kernels: damage to it, a full disk and others' folders stop nothing; an interrupt does."""
 
 import runpy
 import shutil
+import signal
 
 import numba
 import pytest
+from numba.core.registry import cpu_target
 
 from armctl.kernels import compiling
 
@@ -77,4 +79,13 @@ def test_the_folder_is_private(home, monkeypatch):
     assert folder.stat().st_mode & 0o777 == 0o700
     shutil.rmtree(folder)
     folder.write_text("in its place")
+    assert run(home, monkeypatch) == 0
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_while_machine_code_is_made_is_heard(home, monkeypatch):
+    engine = cpu_target.target_context.codegen()._engine._ee
+    with monkeypatch.context() as at_the_end, pytest.raises(KeyboardInterrupt):
+        at_the_end.setattr(engine, "_object_cache_notify", lambda *_: signal.raise_signal(signal.SIGINT))
+        run(home, monkeypatch)
     assert run(home, monkeypatch) == 0

@@ -12,10 +12,7 @@ from a guess as near as the last plan, with a low barrier parameter from the beg
 
 import itertools
 import math
-import signal
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any
@@ -26,6 +23,7 @@ from pydantic import Field
 
 from armctl.control.drive_limits import DriveLimits
 from armctl.core.arrays import Array
+from armctl.core.interrupts import interrupts_raised
 from armctl.core.options import NonNegative, Positive, options
 
 Constraint = tuple[Any, float, float]
@@ -228,7 +226,7 @@ class DriveSolver:
     def solve(self) -> Solution:
         """Return the local optimum near the guess. A failure is a result that is not `solved`."""
         try:
-            with _deferred_interrupts():
+            with interrupts_raised():
                 self._solve()
             stats = self._buffer.stats()
         except RuntimeError:  # Fatrop's exceptions, such as overflow
@@ -241,22 +239,6 @@ class DriveSolver:
 def drive_nlp(options: DriveMpcOptions) -> DriveNlp:
     """Return the problem that all robots with these options share."""
     return DriveNlp(options)
-
-
-@contextmanager
-def _deferred_interrupts() -> Iterator[None]:
-    """Raise an interrupt (Ctrl-C) after the block: CasADi would swallow it and end the search."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    kept: list[int] = []
-    previous_handler = signal.signal(signal.SIGINT, lambda number, _: kept.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous_handler)
-        if kept:
-            signal.raise_signal(signal.SIGINT)
 
 
 def _variables(knots: Array) -> Array:

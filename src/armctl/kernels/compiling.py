@@ -14,6 +14,8 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvid
 from numba.experimental import structref
 from numba.extending import overload
 
+from armctl.core.interrupts import interrupts_raised
+
 KERNELS = Path(__file__).parent
 
 
@@ -56,6 +58,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     Kernels may call each other, also across files. Their machine code is kept for later processes.
     """
     dispatcher = numba.njit(function, nogil=True, error_model="numpy")
+    dispatcher.compile = interrupts_raised()(dispatcher.compile)
     if _FOLDER is not None:
         previous = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(_FOLDER)
