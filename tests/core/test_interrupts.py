@@ -8,13 +8,17 @@ import pytest
 
 from armctl.core.interrupts import interrupts_raised
 
+STEPS = []
+"""Which lines have run."""
+
 
 @pytest.fixture(autouse=True)
-def no_complaints(monkeypatch):
-    """What ctypes swallows is no warning of the test's."""
-    swallowed = []
-    monkeypatch.setattr("sys.unraisablehook", swallowed.append)
-    return swallowed
+def swallowed(monkeypatch):
+    """What ctypes writes to stderr, and goes on."""
+    errors = []
+    STEPS.clear()
+    monkeypatch.setattr("sys.unraisablehook", errors.append)
+    return errors
 
 
 @ctypes.CFUNCTYPE(None)
@@ -22,18 +26,46 @@ def interrupted():
     signal.raise_signal(signal.SIGINT)
 
 
-def test_what_a_callback_swallows_is_raised_after_the_block(no_complaints):
-    after = []
-    with pytest.raises(KeyboardInterrupt), interrupts_raised():
-        interrupted()
-        after.append(1)
-    assert len(no_complaints) == len(after) == 1
+@interrupts_raised()
+def in_a_callback():
+    interrupted()
+    STEPS.append("after")
 
 
-def test_a_failure_by_the_interrupt_is_the_interrupt():
-    with pytest.raises(KeyboardInterrupt), interrupts_raised():
-        interrupted()
-        raise RuntimeError("no compiled object yet")
+@interrupts_raised()
+def in_a_callback_then_fail():
+    interrupted()
+    raise RuntimeError("no compiled object yet")
+
+
+@interrupts_raised()
+def in_python():
+    signal.raise_signal(signal.SIGINT)
+    STEPS.append("after")
+
+
+@interrupts_raised()
+def in_a_block_within():
+    in_a_callback()
+    STEPS.append("outer")
+
+
+@pytest.mark.parametrize(
+    ("interrupt", "steps", "swallows"),
+    [
+        (in_a_callback, ["after"], 1),
+        (in_a_callback_then_fail, [], 1),
+        (in_python, [], 0),
+        (in_a_block_within, ["after"], 1),
+    ],
+)
+def test_an_interrupt_is_raised_once(interrupt, steps, swallows, swallowed):
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
+    assert steps == STEPS
+    assert len(swallowed) == swallows
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_other_failures_stay_what_they_are():
@@ -41,44 +73,22 @@ def test_other_failures_stay_what_they_are():
         raise RuntimeError("own")
 
 
-def test_an_interrupt_that_nothing_swallows_is_raised_where_it_comes():
-    after = []
-    with pytest.raises(KeyboardInterrupt), interrupts_raised():
-        signal.raise_signal(signal.SIGINT)
-        after.append(1)
-    assert not after
-
-
-def test_blocks_within_blocks_end_one_after_the_other():
-    after = []
-    with pytest.raises(KeyboardInterrupt), interrupts_raised():
-        with interrupts_raised():
-            interrupted()
-        after.append(1)
-    assert not after
-
-
 @pytest.mark.parametrize("handler", [signal.SIG_IGN, lambda number, frame: None])
 def test_who_ignores_interrupts_gets_none(handler):
     previous = signal.signal(signal.SIGINT, handler)
     try:
-        with interrupts_raised():
-            signal.raise_signal(signal.SIGINT)
+        in_a_callback()
         assert signal.getsignal(signal.SIGINT) is handler
     finally:
         signal.signal(signal.SIGINT, previous)
 
 
-def test_the_handler_is_as_before_and_other_threads_leave_it_alone():
+def test_other_threads_leave_the_handler_alone():
     before, seen = signal.getsignal(signal.SIGINT), []
-
-    @interrupts_raised()
-    def look():
-        seen.append(signal.getsignal(signal.SIGINT))
-
+    look = interrupts_raised()(lambda: seen.append(signal.getsignal(signal.SIGINT)))
     thread = threading.Thread(target=look)
     thread.start()
     thread.join()
     look()
-    assert seen[0] is before is signal.getsignal(signal.SIGINT)
+    assert seen[0] is before
     assert seen[1] is not before

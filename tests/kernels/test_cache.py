@@ -85,7 +85,8 @@ def test_the_folder_is_private(home, monkeypatch):
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_an_interrupt_while_machine_code_is_made_is_heard(home, monkeypatch):
     engine = cpu_target.target_context.codegen()._engine._ee
-    with monkeypatch.context() as at_the_end, pytest.raises(KeyboardInterrupt):
-        at_the_end.setattr(engine, "_object_cache_notify", lambda *_: signal.raise_signal(signal.SIGINT))
-        run(home, monkeypatch)
+    with monkeypatch.context() as at_its_end:
+        at_its_end.setattr(engine, "_object_cache_notify", lambda *_: signal.raise_signal(signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            run(home, monkeypatch)
     assert run(home, monkeypatch) == 0

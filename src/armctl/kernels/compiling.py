@@ -15,6 +15,7 @@ from numba.experimental import structref
 from numba.extending import overload
 
 from armctl.core.interrupts import interrupts_raised
+from armctl.kernels.borrowing import BorrowingCompiler
 
 KERNELS = Path(__file__).parent
 
@@ -57,7 +58,8 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     Kernels may call each other, also across files. Their machine code is kept for later processes.
     """
-    dispatcher = numba.njit(function, nogil=True, error_model="numpy")
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    dispatcher = numba.njit(function, pipeline_class=BorrowingCompiler, **options)
     dispatcher.compile = interrupts_raised()(dispatcher.compile)
     if _FOLDER is not None:
         previous = numba.config.CACHE_DIR

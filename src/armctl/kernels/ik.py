@@ -151,10 +151,10 @@ def refine(joints, pose, q):
 def is_distinct(q, solutions, count, distinct):
     """Return True if q (dof,) differs from each of the first solutions by more than `distinct` (rad) in some joint."""
     for other in range(count):
-        gap = 0.0
+        same = True
         for i in range(len(q)):
-            gap = max(gap, abs(q[i] - solutions[other, i]))
-        if not gap > distinct:
+            same = same and abs(q[i] - solutions[other, i]) <= distinct
+        if same:
             return False
     return True
 

@@ -27,6 +27,8 @@ PREBUILT = {"panda": "franka_panda", "panda_open": "franka_panda", "UF_ROBOT": "
 """Robots that ssik knows, by the names in their URDF files."""
 SAME = 1e-9
 """m: largest difference between two models of one arm."""
+NO_SOLUTION = np.empty((0, 6))
+"""In place of EAIK's own, (0, 0)."""
 DIGITS = 4
 """Decimal places (m) of arms' dimensions: what is beyond comes from angles that are rounded in their files."""
 
@@ -50,7 +52,8 @@ def six_joints(model: ArmModel) -> ClosedForm | None:
 
     def solve(pose: Array) -> tuple[Array, NDArray[np.bool_]]:
         solution = solver.calculate_IK(pose)
-        return np.reshape(solution.Q, (-1, 6)), solution.is_LS  # EAIK's empty one is (0, 0)
+        q = solution.Q
+        return q if len(q) else NO_SOLUTION, solution.is_LS
 
     return solve
 

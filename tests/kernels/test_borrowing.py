@@ -1,0 +1,80 @@
+"""Kernels count no references to the arrays that they borrow, and keep what they return alive."""
+
+import gc
+import sys
+
+import numpy as np
+
+from armctl.kernels import compiling, ik
+from armctl.kernels.compiling import compiled
+from armctl.kinematics import ArmModel
+
+
+@compiled
+def first_of(row):
+    return row[0]
+
+
+@compiled
+def sum_of_firsts(rows):
+    total = 0.0
+    for i in range(len(rows)):
+        total += first_of(rows[i])
+    return total
+
+
+@compiled
+def last_row(rows):
+    return rows[-1]
+
+
+@compiled
+def last_rows(rows, number):
+    return rows[len(rows) - number :], number
+
+
+@compiled
+def sum_of_made(number):
+    rows = np.empty((number, 3))
+    for i in range(number):
+        rows[i] = i
+    return sum_of_firsts(rows) + last_row(rows)[1]
+
+
+@compiled
+def swapped(first, second, times):
+    for _ in range(times):
+        first, second = second, first
+    return first[0]
+
+
+def test_no_references_are_counted_to_views_of_arguments(monkeypatch):
+    monkeypatch.setattr(compiling, "_FOLDER", None)
+    model, choose = ArmModel("ur5"), compiled(ik.choose.py_func)
+    pose, tolerances = np.ascontiguousarray(model.pose(model.home)), (1e-8, 0.1, 1e-3)
+    arrays = np.zeros((3, 6)), np.zeros(3, dtype=bool), model.home
+    choose(model.joints, pose, *arrays, tolerances, np.zeros((4, 6)), np.zeros(4))
+    (llvm,) = choose.inspect_llvm().values()
+    assert "@NRT_incref(" not in llvm
+    assert "@NRT_decref(" in llvm, "of its own arrays"
+
+
+def test_what_is_returned_stays_alive():
+    for n in range(100):
+        row = last_row(np.full((50, 1000), float(n)))
+        rows, _ = last_rows(np.full((50, 1000), float(n)), 2)
+        gc.collect()
+        np.full((50, 1000), -1.0)
+        assert (row == n).all()
+        assert (rows == n).all()
+
+
+def test_own_arrays_are_passed_on():
+    assert sum_of_made(5) == 0 + 1 + 2 + 3 + 4 + 4
+
+
+def test_arguments_are_owned_by_the_caller_before_and_after():
+    first, second = np.array([1.0]), np.array([2.0])
+    before = sys.getrefcount(first), sys.getrefcount(second)
+    assert [swapped(first, second, times) for times in (0, 1, 2, 3)] == [1, 2, 1, 2]
+    assert (sys.getrefcount(first), sys.getrefcount(second)) == before
