@@ -107,7 +107,7 @@ def move(arm, goal, target, memory):
     return MOVING, distance
 
 
-@inlined
+@compiled
 def reach_cost(arm, goals, memory):
     """Return the cost of goals (horizon, dof)."""
     cost, distance, passed, last = 0.0, 0.0, 0, len(arm.way) - 1
