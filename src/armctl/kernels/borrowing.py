@@ -59,7 +59,7 @@ class BorrowingCompiler(CompilerBase):  # type: ignore[misc]
         """Return numba's passes, with another one for the arguments."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [
-            (_BorrowingLowering, what) if each is NativeLowering else (each, what) for each, what in passes.passes
+            (_BorrowingLowering if each is NativeLowering else each, label) for each, label in passes.passes
         ]
         passes.finalize()
         return [passes]
