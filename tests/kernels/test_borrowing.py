@@ -3,9 +3,10 @@
 import sys
 
 import numpy as np
+import pytest
 
 from armctl.kernels import arm, compiling
-from armctl.kernels.compiling import compiled
+from armctl.kernels.compiling import bound, compiled
 from armctl.kinematics import ArmModel
 
 
@@ -33,6 +34,20 @@ def last_rows(rows, number):
 
 
 @compiled
+def add_to_first(number, bound):
+    rows, (factors, _) = bound.arguments
+    for i in range(len(rows)):
+        row = rows[i]
+        row[0] += number * factors[i]
+
+
+@compiled
+def first_row(bound):
+    rows, _ = bound.arguments
+    return rows[0]
+
+
+@compiled
 def sum_of_made(number):
     rows = np.empty((number, 3))
     for i in range(number):
@@ -47,13 +62,40 @@ def swapped(first, second, times):
     return first[0]
 
 
-def test_no_references_are_counted_to_views_of_arguments(monkeypatch):
+@pytest.fixture
+def llvm_of(monkeypatch):
+    """The code of a kernel, which is compiled now."""
     monkeypatch.setattr(compiling, "_FOLDER", None)
-    tips = compiled(arm.tips.py_func)
-    tips(ArmModel("ur5").joints, np.zeros((3, 6)), np.zeros((3, 3)))
-    (llvm,) = tips.inspect_llvm().values()
+
+    def code(kernel, *arguments):
+        again = compiled(kernel.py_func)
+        again(*arguments)
+        (llvm,) = again.inspect_llvm().values()
+        return llvm
+
+    return code
+
+
+def test_no_references_are_counted_to_views_of_arguments(llvm_of):
+    llvm = llvm_of(arm.tips, ArmModel("ur5").joints, np.zeros((3, 6)), np.zeros((3, 3)))
     assert "@NRT_incref(" not in llvm
     assert "@NRT_decref(" in llvm, "of its own arrays"
+
+
+def test_no_references_are_counted_to_what_is_bound(llvm_of):
+    rows = np.zeros((2, 3))
+    arguments = bound((rows, (np.array([1.0, 10.0]), 5)))
+    assert "@NRT_incref(" not in llvm_of(add_to_first, 2, arguments)
+    for _ in range(4):
+        add_to_first(2, arguments)
+    assert rows[:, 0].tolist() == [10.0, 100.0]
+
+
+def test_what_is_bound_lives_as_long_as_a_row_of_it():
+    for n in range(20):
+        row = first_row(bound((np.full((50, 1000), float(n)), (np.zeros(1), 0))))
+        np.full((50, 1000), -1.0)
+        assert (row == n).all()
 
 
 def test_what_is_returned_stays_alive():

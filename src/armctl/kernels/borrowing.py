@@ -1,8 +1,8 @@
 """Compilation in which kernels borrow the arrays that they are called with, and count no references to them.
 
 numba counts the references to each array's memory, also of views such as `rows[i]`, by atomic operations: half of the
-processor time of small kernels. Who calls a kernel keeps the arrays meanwhile. Only a kernel that returns arrays, which
-may be views of its arguments, counts references to them.
+processor time of small kernels. Who calls a kernel keeps the arrays meanwhile, also those in a `Bound`. Only a kernel
+that returns arrays, which may be views of its arguments, counts references to them.
 """
 
 from typing import Any
@@ -16,13 +16,26 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _BorrowingLower(Lower):  # type: ignore[misc]
+    @property
+    def _borrows(self) -> bool:
+        return not _has_arrays(self.fndesc.restype)
+
     def extract_function_arguments(self) -> list[Any]:
-        """Return the values of the arguments; arrays among them have no owner, unless arrays are returned."""
-        values = super().extract_function_arguments()
-        if not _has_arrays(self.fndesc.restype):
+        """Return the values of the arguments; arrays among them have no owner."""
+        self.fnargs = super().extract_function_arguments()
+        if self._borrows:
             kinds = self.fndesc.argtypes
-            self.fnargs = [self._borrowed(kind, value) for kind, value in zip(kinds, values, strict=True)]
-        return list(self.fnargs)
+            self.fnargs = [self._borrowed(kind, value) for kind, value in zip(kinds, self.fnargs, strict=True)]
+        return self.fnargs
+
+    def lower_expr(self, kind: types.Type, expression: Any) -> Any:
+        """Return the value of an expression; arrays of a structure, which is an argument, have no owner, either."""
+        value = super().lower_expr(kind, expression)
+        is_field = expression.op == "getattr" and isinstance(self.typeof(expression.value.name), types.StructRef)
+        if not is_field or not self._borrows:
+            return value
+        self.decref(kind, value)
+        return self._borrowed(kind, value)
 
     def _borrowed(self, kind: types.Type, value: Any) -> Any:
         if isinstance(kind, types.Array):

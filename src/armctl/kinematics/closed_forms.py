@@ -28,7 +28,7 @@ PREBUILT = {"panda": "franka_panda", "panda_open": "franka_panda", "UF_ROBOT": "
 SAME = 1e-9
 """m: largest difference between two models of one arm."""
 NO_SOLUTION = np.empty((0, 6))
-"""In place of EAIK's own, (0, 0)."""
+"""Configurations where there is none: EAIK's array is (0, 0)."""
 DIGITS = 4
 """Decimal places (m) of arms' dimensions: what is beyond comes from angles that are rounded in their files."""
 
