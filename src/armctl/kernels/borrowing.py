@@ -22,7 +22,7 @@ class _BorrowingLower(Lower):  # type: ignore[misc]
 
     def extract_function_arguments(self) -> list[Any]:
         """Return the values of the arguments; arrays among them have no owner."""
-        self.fnargs = super().extract_function_arguments()
+        self.fnargs: list[Any] = super().extract_function_arguments()
         if self._borrows:
             kinds = self.fndesc.argtypes
             self.fnargs = [self._borrowed(kind, value) for kind, value in zip(kinds, self.fnargs, strict=True)]
