@@ -128,7 +128,7 @@ def test_a_server_of_openpi_sends_chunks(fake):
 
     def chunk(message):
         asked.append(message)
-        return {"actions": np.full((5, 6), 0.1), "server_timing": {"infer_ms": 0.25}}
+        return {"actions": np.full((5, 6), 0.1), "server_timing": {"infer_ms": 0.0625}}
 
     url = fake(chunk, {"model": "pi0"}) + "?observation=observation/state&prompt=reach"
     played = compare([url], episodes=1, env_options=SHORT)
@@ -137,7 +137,7 @@ def test_a_server_of_openpi_sends_chunks(fake):
     assert set(asked[0]) == {"observation/state", "prompt"}
     assert asked[0]["prompt"] == "reach"
     assert asked[0]["observation/state"].dtype == np.float32
-    assert played.episodes.decision_ms_max.item() == 0.25
+    assert played.episodes.decision_ms_max.item() == 0.0625
 
 
 @pytest.mark.one_case
