@@ -13,7 +13,7 @@ STEPS = []
 
 
 @pytest.fixture(autouse=True)
-def swallowed(monkeypatch):
+def ctypes_errors(monkeypatch):
     """What ctypes writes to stderr, and goes on."""
     errors = []
     STEPS.clear()
@@ -59,12 +59,12 @@ def in_a_block_within():
         (in_a_block_within, ["after"], 1),
     ],
 )
-def test_an_interrupt_is_raised_once(interrupt, steps, swallows, swallowed):
+def test_an_interrupt_is_raised_once(interrupt, steps, swallows, ctypes_errors):
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         interrupt()
     assert steps == STEPS
-    assert len(swallowed) == swallows
+    assert len(ctypes_errors) == swallows
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -84,11 +84,11 @@ def test_who_ignores_interrupts_gets_none(handler):
 
 
 def test_other_threads_leave_the_handler_alone():
-    before, seen = signal.getsignal(signal.SIGINT), []
-    look = interrupts_raised()(lambda: seen.append(signal.getsignal(signal.SIGINT)))
+    before, handlers = signal.getsignal(signal.SIGINT), []
+    look = interrupts_raised()(lambda: handlers.append(signal.getsignal(signal.SIGINT)))
     thread = threading.Thread(target=look)
     thread.start()
     thread.join()
     look()
-    assert seen[0] is before
-    assert seen[1] is not before
+    assert handlers[0] is before
+    assert handlers[1] is not before

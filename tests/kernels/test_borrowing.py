@@ -68,9 +68,9 @@ def llvm_of(monkeypatch):
     monkeypatch.setattr(compiling, "_FOLDER", None)
 
     def code(kernel, *arguments):
-        again = compiled(kernel.py_func)
-        again(*arguments)
-        (llvm,) = again.inspect_llvm().values()
+        copy_of_kernel = compiled(kernel.py_func)
+        copy_of_kernel(*arguments)
+        (llvm,) = copy_of_kernel.inspect_llvm().values()
         return llvm
 
     return code

@@ -14,26 +14,26 @@ def interrupts_raised() -> Iterator[None]:
     An interrupt is raised where Python runs next. If that is a function that compiled code calls back, ctypes writes
     the exception to stderr, and CasADi takes it for a failure of its search: both go on.
     """
-    previous = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
         yield
         return
-    raised: list[BaseException] = []
+    errors: list[BaseException] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         try:
-            previous(number, frame)
+            handler(number, frame)
         except BaseException as error:
-            raised.append(error)
+            errors.append(error)
             raise
 
     signal.signal(signal.SIGINT, interrupt)
     try:
         yield
     except Exception:
-        if not raised:
+        if not errors:
             raise
     finally:
-        signal.signal(signal.SIGINT, previous)
-    if raised:
-        raise raised[0]
+        signal.signal(signal.SIGINT, handler)
+    if errors:
+        raise errors[0]

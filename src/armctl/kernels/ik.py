@@ -151,10 +151,10 @@ def refine(joints, pose, q):
 def is_distinct(q, solutions, count, distinct):
     """Return True if q (dof,) differs from each of the first solutions by more than `distinct` (rad) in some joint."""
     for other in range(count):
-        same = True
+        is_same = True
         for i in range(len(q)):
-            same = same and abs(q[i] - solutions[other, i]) <= distinct
-        if same:
+            is_same = is_same and abs(q[i] - solutions[other, i]) <= distinct
+        if is_same:
             return False
     return True
 

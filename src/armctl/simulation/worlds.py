@@ -19,10 +19,10 @@ def world_path(name: str) -> Path:
 
 def compiled_once(build: Callable[P, mujoco.MjModel]) -> Callable[P, mujoco.MjModel]:
     """Return a function that returns copies of what `build` returns, which it calls once for the same arguments."""
-    kept: Callable[P, mujoco.MjModel] = functools.lru_cache(maxsize=8)(build)  # type: ignore[assignment]
+    cached_build: Callable[P, mujoco.MjModel] = functools.lru_cache(maxsize=8)(build)  # type: ignore[assignment]
 
     @functools.wraps(build)
-    def built(*args: P.args, **kwargs: P.kwargs) -> mujoco.MjModel:
-        return copy.copy(kept(*args, **kwargs))
+    def build_copy(*args: P.args, **kwargs: P.kwargs) -> mujoco.MjModel:
+        return copy.copy(cached_build(*args, **kwargs))
 
-    return built
+    return build_copy
