@@ -5,8 +5,9 @@
 
 `worlds` steps environments with random actions and without resets (`benchmarks/resets.py` has these), beside raw
 `mj_step` on as many worlds. `table` fills the folder of a comparison of the default policies with episodes that were
-never played, of lengths as theirs and with a return of its own each; then `armctl compare` resumes it and finds nothing
-left to play, its episodes are read, and `armctl report` reads it. Each figure is of a fresh process.
+never played, of lengths as theirs and with a return of its own each; then `armctl.compare` resumes it and finds nothing
+left to play, its episodes are read, and its report is written, without videos. Each figure is of a fresh process, its
+start included.
 """
 
 import json
@@ -27,13 +28,25 @@ from printing import show, versioned_table
 import armctl
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import Store
-from armctl.episodes.stored import STORE, UNDISTURBED, read_identities, read_store
-from armctl.report import write_report
+from armctl.episodes.stored import STORE, UNDISTURBED, read_identities
+from armctl.report.page import REPORT
 
 REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
 
 WORLDS = (64, 256, 1024, 4096)
 ROUNDS = 3
+JOBS = {
+    "summary": "import armctl; done = armctl.compare(env=env, episodes=int(episodes), out=folder); "
+    "assert done.resumed == len(done.results), done.failures",
+    "read": "from armctl.episodes.stored import read_store; read_store(Path(folder))",
+    "report": "from armctl.report import write_report; write_report(folder, video=False, env=env)",
+}
+"""Measured jobs, as Python."""
+COST = """
+_, _, peak = Path("/proc/self/status").read_text().partition("VmHWM:")
+print(json.dumps({"seconds": time.process_time(), "peak": int(peak.split()[0])}))
+"""
+"""Processor time and largest memory, kB, of this process since it began: `ru_maxrss` has that of its parent as well."""
 ENVS = Annotated[list[str], typer.Option("--env", help="Environments.")]
 
 app = typer.Typer(help=__doc__, add_completion=False, pretty_exceptions_enable=False)
@@ -56,19 +69,20 @@ def worlds(steps: int = 4, env: ENVS = [REACH, BRIDGE], count: list[int] = list(
 def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: B006
     """Measure the results of a comparison with so many episodes in all, and print a table."""
     output = versioned_table(
-        "", "episodes", "decisions", "", "processor s", "peak MB", "peak MB of 30 episodes", "MB on disk"
+        "", "episodes", "decisions", "", "processor s", "peak MB", "s of 30 episodes", "MB of these", "MB on disk"
     )
     for name in env:
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")
-            _in_a_fresh_process("fill", few, name, 30)
+            started = _in_a_fresh_process("fill", few, name, 30)
             filled = _in_a_fresh_process("fill", many, name, rows)
             counts = f"{filled['episodes']:,}", f"{filled['decisions'] / 1e6:.0f} M"
-            for job in ("summary", "read", "report"):
-                start, figures = (_in_a_fresh_process(job, folder, name) for folder in (few, many))
+            for job in JOBS:
+                start, figures = _cost(job, name, few, started), _cost(job, name, many, filled)
+                written = {"summary": many.iterdir(), "read": [many / STORE], "report": [many / REPORT]}[job]
                 output.add_row(
-                    f"`{name}`", *counts, job, f"{figures['seconds']:.1f}", f"{figures['peak']:,.0f}",
-                    f"{start['peak']:,.0f}", f"{figures['size']:,.1f}",
+                    f"`{name}`", *counts, job, f"{figures['seconds']:.1f}", f"{figures['peak'] / 1e3:,.0f}",
+                    f"{start['seconds']:.1f}", f"{start['peak'] / 1e3:,.0f}", f"{_size(*written):,.1f}",
                 )  # fmt: skip
     show(output)
 
@@ -110,7 +124,7 @@ def fill(folder: Path, env: str, rows: int) -> None:
             for result in _others(first, each):
                 decisions += result.length
                 log.write(result)
-    print(json.dumps({"episodes": each * len(episodes), "decisions": decisions}))
+    print(json.dumps({"episodes": each * len(episodes), "decisions": decisions, "policies": len(episodes)}))
 
 
 def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
@@ -131,46 +145,24 @@ def _others(first: EpisodeResult, episodes: int) -> Iterator[EpisodeResult]:
         )  # fmt: skip
 
 
-@app.command(hidden=True)
-def summary(folder: Path, env: str) -> None:
-    """Resume a comparison of which everything is played, and print what it took, and its folder's size."""
-    (identity,) = read_identities(folder)
-    rows = int(_in_a_fresh_process("read", folder, env)["rows"])
-    start = time.process_time()
-    comparison = armctl.compare(env=env, episodes=rows // len(identity["policies"]), out=folder)
-    if comparison.resumed != rows or comparison.failures:
-        raise SystemExit(f"{comparison.resumed} of {rows} episodes were read: {comparison.failures}")
-    _print_cost(start, _size(*folder.iterdir()))
-
-
-@app.command(hidden=True)
-def read(folder: Path, env: str) -> None:
-    """Read a comparison's episodes, and print what it took, and the size of their files."""
-    start = time.process_time()
-    rows = len(read_store(folder).cells[UNDISTURBED].episodes)
-    _print_cost(start, _size(folder / STORE), rows=rows)
-
-
-@app.command(hidden=True)
-def report(folder: Path, env: str) -> None:
-    """Write a report without videos, and print what it took, and the page's size."""
-    start = time.process_time()
-    page = write_report(folder, video=False, env=env)
-    _print_cost(start, _size(page))
-
-
-def _print_cost(start: float, size: float, **more: float) -> None:
-    spent, peak = time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(json.dumps({"seconds": spent, "peak": peak, "size": size, **more}))
-
-
 def _size(*files: Path) -> float:
     """Return a folder's size, MB."""
     return sum(file.stat().st_size for file in files) / 1e6
 
 
+def _cost(job: str, env: str, folder: Path, filled: dict[str, float]) -> dict[str, float]:
+    """Return what a job takes that loads nothing of this benchmark."""
+    episodes = int(filled["episodes"] / filled["policies"])
+    begin = "import json, sys, time; from pathlib import Path; env, folder, episodes = sys.argv[1:]"
+    return _printed("-c", f"{begin}\n{JOBS[job]}{COST}", env, folder, episodes)
+
+
 def _in_a_fresh_process(*command: object) -> dict[str, float]:
-    done = subprocess.run([sys.executable, __file__, *map(str, command)], capture_output=True, text=True)
+    return _printed(__file__, *command)
+
+
+def _printed(*arguments: object) -> dict[str, float]:
+    done = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(done.stderr)
     figures: dict[str, float] = json.loads(done.stdout.splitlines()[-1])

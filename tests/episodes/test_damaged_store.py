@@ -8,6 +8,7 @@ import pytest
 
 from armctl.core.errors import ResultsError
 from armctl.core.files import sealed
+from armctl.episodes import blocks
 from armctl.episodes.database import FORMAT
 from armctl.episodes.rows import SINCE_FORMAT_2
 from armctl.episodes.stored import STORE, read_store
@@ -23,7 +24,8 @@ def resume(folder):
 
 
 @pytest.fixture
-def made_up(tmp_path):
+def made_up(tmp_path, request, monkeypatch):
+    monkeypatch.setattr(blocks, "EPISODES", getattr(request, "param", blocks.EPISODES))
     write(tmp_path, played(12, "ba"))
     return tmp_path
 
@@ -31,28 +33,31 @@ def made_up(tmp_path):
 @pytest.mark.parametrize(
     ("command", "says"),
     [
-        ("UPDATE episode SET energy = energy + 1e-9 WHERE rowid = 3", "an episode was changed"),
-        ("UPDATE episode SET contacts = NULL WHERE rowid = 1", "an episode was changed"),
-        ("UPDATE episode SET feasible = 1 - feasible WHERE rowid = 2", "an episode was changed"),
-        ("UPDATE episode SET policy = outcome, episode = 77 WHERE rowid = 1", "an episode was changed"),
-        ("UPDATE episode SET episode = 99 WHERE rowid = 1", "an episode was changed"),
-        ("UPDATE episode SET decision_ms = zeroblob(length(decision_ms)) WHERE rowid = 4", "an episode was changed"),
-        ("UPDATE episode SET decision_ms = x'00' WHERE rowid = 4", "an episode was changed"),
-        ("UPDATE episode SET reward_terms = x'' WHERE rowid = 4", "an episode was changed"),
-        ("UPDATE episode SET run = 10000", "is out of bounds"),
-        ("UPDATE episode SET run = -1", "a text that is not there"),
-        ("UPDATE episode SET cell = 1 WHERE rowid = 4", "1 episodes that are not of its cells"),
+        ("UPDATE episode_row SET energy = energy + 1e-9 WHERE rowid = 3", "an episode was changed"),
+        ("UPDATE episode_row SET contacts = NULL WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode_row SET feasible = 1 - feasible WHERE rowid = 2", "an episode was changed"),
+        ("UPDATE episode_row SET policy = outcome, episode = 77 WHERE rowid = 1", "an episode was changed"),
+        ("UPDATE episode_row SET episode = 99 WHERE rowid = 1", "an episode was changed"),
+        (
+            "UPDATE episode_row SET decision_ms = zeroblob(length(decision_ms)) WHERE rowid = 4",
+            "an episode was changed",
+        ),
+        ("UPDATE episode_row SET decision_ms = x'00' WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode_row SET reward_terms = x'' WHERE rowid = 4", "an episode was changed"),
+        ("UPDATE episode_row SET run = 10000", "is out of bounds"),
+        ("UPDATE episode_row SET run = -1", "a text that is not there"),
+        ("UPDATE episode_row SET cell = 1 WHERE rowid = 4", "its table episode_row has 1 rows of other cells"),
         ("UPDATE text SET text = text || 'x' WHERE id = 0", "an episode was changed"),
         ("UPDATE text SET id = 99 WHERE id = 0", "not numbered"),
         ("UPDATE cell SET identity = replace(identity, ': 3', ': 4')", "checksum"),
         ("UPDATE cell SET identity = '[]'", "checksum"),
-        ("DELETE FROM cell", "24 episodes that are not of its cells"),
+        ("DELETE FROM cell", "its table episode_row has 24 rows of other cells"),
         ("INSERT INTO run VALUES (0, '{}')", "checksum"),
         (f"INSERT INTO run VALUES (0, '{sealed({'id': 1})}')", "validation errors"),
         ("CREATE TABLE more (x)", "does not have the tables"),
-        ("CREATE TRIGGER late AFTER DELETE ON run BEGIN DELETE FROM episode; END", "does not have the tables"),
-        ("CREATE VIEW extra AS SELECT * FROM episode", "does not have the tables"),
-        ("ALTER TABLE episode DROP COLUMN energy", "does not have the tables"),
+        ("CREATE TRIGGER late AFTER DELETE ON run BEGIN DELETE FROM episode_row; END", "does not have the tables"),
+        ("CREATE VIEW extra AS SELECT * FROM episode_row", "does not have the tables"),
+        ("ALTER TABLE episode_row DROP COLUMN energy", "does not have the tables"),
         (f"PRAGMA user_version = {FORMAT + 1}", f"format {FORMAT + 1}"),
     ],
 )
@@ -66,15 +71,16 @@ def test_what_another_program_changed_is_told_and_nothing_is_touched(made_up, co
     write(made_up, [])
 
 
-def test_a_store_of_format_1_is_read_without_jerk_and_not_added_to(tmp_path):
-    episodes = [
-        replace(one, metrics=replace(one.metrics, **dict.fromkeys(SINCE_FORMAT_2, math.nan))) for one in played(3)
-    ]
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_store_of_an_older_format_is_read_and_not_added_to(tmp_path, number):
+    unknown = dict.fromkeys(SINCE_FORMAT_2, math.nan) if number == 1 else {}
+    episodes = [replace(one, metrics=replace(one.metrics, **unknown)) for one in played(3)]
     write(tmp_path, episodes)
-    to_format_1 = [f"ALTER TABLE episode DROP COLUMN {name}" for name in SINCE_FORMAT_2]
-    edit(tmp_path, *to_format_1, "PRAGMA user_version = 1")
+    changes = [f"ALTER TABLE episode_row DROP COLUMN {name}" for name in unknown]
+    changes += ["ALTER TABLE episode_row RENAME TO episode", "DROP TABLE episode_block"]
+    edit(tmp_path, *changes, *with_sql("""replace(sql, '"', '')"""), f"PRAGMA user_version = {number}")
     same(read_cell(tmp_path).episodes, episodes)
-    with pytest.raises(ResultsError, match="results of format 1, which can be read, but not added to"):
+    with pytest.raises(ResultsError, match=f"results of format {number}, which can be read, but not added to"):
         resume(tmp_path)
     edit(tmp_path, "UPDATE episode SET energy = energy + 1e-9 WHERE rowid = 2")
     with pytest.raises(ResultsError, match="an episode was changed"):
@@ -83,26 +89,28 @@ def test_a_store_of_format_1_is_read_without_jerk_and_not_added_to(tmp_path):
 
 @pytest.mark.parametrize("name", SINCE_FORMAT_2)
 def test_a_jerk_that_is_removed_or_added_is_told(made_up, name):
-    edit(made_up, f"UPDATE episode SET {name} = CASE WHEN {name} IS NULL THEN 1.0 END WHERE rowid = 2")
+    edit(made_up, f"UPDATE episode_row SET {name} = CASE WHEN {name} IS NULL THEN 1.0 END WHERE rowid = 2")
     with pytest.raises(ResultsError, match="an episode was changed"):
         read_store(made_up)
 
 
 def test_values_of_other_types_are_told(made_up):
     """As only somebody can write them who changes the tables and changes them back."""
-    edit(made_up, *as_strict("replace(sql, ' STRICT', '')"))
-    edit(made_up, "UPDATE episode SET energy = 'much' WHERE rowid = 1")
-    edit(made_up, *as_strict("sql || ' STRICT'"))
-    with pytest.raises(ResultsError, match=r"non-REAL value in episode\.energy"):
+    edit(made_up, *with_sql("replace(sql, ' STRICT', '')", "episode_row"))
+    edit(made_up, "UPDATE episode_row SET energy = 'much' WHERE rowid = 1")
+    edit(made_up, *with_sql("sql || ' STRICT'", "episode_row"))
+    with pytest.raises(ResultsError, match=r"non-REAL value in episode_row\.energy"):
         read_store(made_up)
 
 
-def as_strict(sql):
-    change = f"UPDATE sqlite_schema SET sql = {sql} WHERE name = 'episode'"
+def with_sql(sql, name="episode"):
+    """Commands that change the SQL of a table without a check."""
+    change = f"UPDATE sqlite_schema SET sql = {sql} WHERE name = '{name}'"
     return "PRAGMA writable_schema = ON", change, "PRAGMA writable_schema = RESET"
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("made_up", [blocks.EPISODES, 7], indirect=True)
 def test_any_bytes_are_refused_or_change_nothing(made_up, sized):
     whole, rng, refused = (made_up / STORE).read_bytes(), np.random.default_rng(0), 0
     contents = [b"", b"SQLite format 3\0", *(whole[:end] for end in range(1, len(whole), 2_003))]
@@ -111,7 +119,7 @@ def test_any_bytes_are_refused_or_change_nothing(made_up, sized):
     for content in contents:
         (made_up / STORE).write_bytes(content)
         try:
-            same(read_cell(made_up).episodes, list(played(12, "ba")))
+            same(read_cell(made_up).episodes.sorted("ba"), list(played(12, "ba")))
         except ResultsError as error:
             refused += "is damaged" in str(error)
     assert refused > sized(10, 40)
@@ -133,8 +141,10 @@ def test_any_bytes_are_refused_or_change_nothing(made_up, sized):
         ({"reset_ms": -1.0}, "reset_ms that is no time"),
     ],
 )
-def test_what_no_episode_can_be_is_told(tmp_path, change, says):
+@pytest.mark.parametrize("in_block", [blocks.EPISODES, 4])
+def test_what_no_episode_can_be_is_told(tmp_path, change, says, in_block, monkeypatch):
     """Though all checksums are right, as whoever means harm would write it."""
+    monkeypatch.setattr(blocks, "EPISODES", in_block)
     found = list(played(12, "ba"))
     found[5] = replace(found[5], **change)
     write(tmp_path, found)

@@ -53,7 +53,7 @@ def test_the_same_command_plays_nothing_twice(folder):
 
 def test_what_is_missing_is_played_and_put_in_its_place(folder, finished):
     before = (folder / "episodes.csv").read_text().splitlines()
-    edit(folder, "DELETE FROM episode WHERE episode != 2 OR policy != 0")
+    edit(folder, "DELETE FROM episode_row WHERE episode != 2 OR policy != 0")
     assert run(folder, worlds=2).resumed == 1
     assert timeless(folder).equals(timeless(finished))
     assert (folder / "episodes.csv").read_text().splitlines()[3] == before[3]

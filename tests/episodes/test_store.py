@@ -18,9 +18,7 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl.core.errors import ResultsError
-from armctl.episodes import columns
-from armctl.episodes import rows as rows_module
-from armctl.episodes import store as store_module
+from armctl.episodes import assembly, blocks, columns, database, packing, store
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import Store
@@ -55,12 +53,19 @@ def results(draw):
 
 @pytest.mark.slow
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)), in_file=st.booleans())
-def test_it_holds_what_was_written(found, in_file, tmp_path, monkeypatch):
-    monkeypatch.setattr(rows_module, "ROWS_AT_ONCE", 3)
+@given(
+    found=st.lists(results(), max_size=7, unique_by=lambda one: (one.policy, one.episode)),
+    in_file=st.booleans(),
+    in_block=st.integers(1, 8),
+)
+def test_it_holds_what_was_written(found, in_file, in_block, tmp_path, monkeypatch):
+    monkeypatch.setattr(assembly, "ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(blocks, "EPISODES", in_block)
     monkeypatch.setattr(columns, "LARGE", 0 if in_file else columns.LARGE)
     write(tmp_path, found)
-    same(read_cell(tmp_path).episodes, found)
+    stored = {(one.policy, one.episode): one for one in read_cell(tmp_path).episodes}
+    same([stored.pop((one.policy, one.episode)) for one in found], found)
+    assert not stored
 
 
 def test_steps_without_a_decision_are_unknown_beside_a_long_one(tmp_path):
@@ -75,8 +80,10 @@ def test_steps_without_a_decision_are_unknown_beside_a_long_one(tmp_path):
 WRITER = """
 import sys
 from pathlib import Path
+from armctl.episodes import blocks
 from tests.made_up_episodes import OWN, played
 from tests.stores import one_cell
+blocks.EPISODES = 7
 with one_cell(Path(sys.argv[1]), OWN, 400) as store:
     known = {(one.policy, one.episode) for one in store.kept}
     for result in played(400, "ba"):
@@ -102,23 +109,26 @@ def test_a_kill_at_any_moment_loses_and_doubles_nothing(tmp_path, kills):
             time.sleep(rng.choice([0.0, rng.uniform(0.0, 0.002)]))
             process.send_signal(signal.SIGKILL)
             written.update(process.stdout)
-        stored = read_cell(tmp_path).episodes
+        stored = read_cell(tmp_path).episodes.sorted("ba")
         assert {f"{one.policy} {one.episode}\n" for one in stored} >= {line for line in written if line.endswith("\n")}
         same(list(stored), [results[one.policy, one.episode] for one in stored])
 
 
-def test_an_interrupt_at_any_moment_of_a_write_spoils_no_other_episode(tmp_path):
+@pytest.mark.parametrize("in_block", [blocks.EPISODES, pytest.param(2, marks=pytest.mark.slow)])
+def test_an_interrupt_at_any_moment_of_a_write_spoils_no_other_episode(tmp_path, in_block, monkeypatch):
     """Ctrl-C before the k-th instruction of a write, and then a whole write, for each k. All outcomes are new texts."""
+    monkeypatch.setattr(blocks, "EPISODES", in_block)
     whole, interrupted = [], []
     results = (replace(result, outcome=f"outcome {result.episode}") for result in played(2_000))
-    with one_cell(tmp_path, OWN) as store:
+    files = {module.__file__ for module in (store, packing, database, contextlib)}
+    with one_cell(tmp_path, OWN) as writer:
         for k in itertools.count():
             interrupted.append(next(results))
-            if not interrupts(k, {store_module.__file__, contextlib.__file__}, store.write, interrupted[-1]):
+            if not interrupts(k, files, writer.write, interrupted[-1]):
                 break
             whole.append(next(results))
-            store.write(whole[-1])
-        store.finish({}, [])
+            writer.write(whole[-1])
+        writer.finish({}, [])
     stored = {one.episode: one for one in read_cell(tmp_path).episodes}
     same([stored.pop(one.episode) for one in whole], whole)
     assert interrupted[-1].episode in stored
@@ -153,8 +163,10 @@ def interrupts(count, files, call, *arguments):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (40_000, True), (200_000, True)])
-def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept):
+@pytest.mark.parametrize("in_block", [blocks.EPISODES, 50])
+@pytest.mark.parametrize(("size", "kept"), [(0, False), (10_000, False), (60_000, True), (200_000, True)])
+def test_a_full_disk_keeps_what_was_there(tmp_path, size, kept, in_block, monkeypatch):
+    monkeypatch.setattr(blocks, "EPISODES", in_block)
     found = list(played(400, "ba"))
     with full_disk(size), contextlib.suppress(ResultsError), one_cell(tmp_path, OWN, 400) as store:
         for result in found:
@@ -185,7 +197,7 @@ def test_cells_share_a_file_and_nothing_else(tmp_path):
     same(stored["one"].episodes, [result for result in found if result.policy != "a"])
     same(stored["other"].episodes.sorted(["a", "b"]), other)
     assert (stored["one"].facts, stored["other"].facts) == ({"first": 1}, None)
-    edit(tmp_path, "UPDATE episode SET cell = 0 WHERE rowid = 2")
+    edit(tmp_path, "UPDATE episode_row SET cell = 0 WHERE rowid = 2")
     with pytest.raises(ResultsError, match="was changed, or belongs to another comparison"):
         read_store(tmp_path)
 

@@ -9,13 +9,16 @@ from urllib.parse import quote
 
 from armctl.core.errors import ResultsError
 from armctl.core.files import check_format, opened_regular
-from armctl.episodes.rows import NUMBERS_OF_FORMAT_1, definition
+from armctl.episodes.blocks import block_definition
+from armctl.episodes.rows import NUMBERS, NUMBERS_OF_FORMAT_1, definition
 from armctl.runtime.folder import OTHERWISE
 
 LARGEST_FILE, LARGEST_VALUE = 4 * 2**30, 2**28
 """Bytes of a store, and of a text or the decision times of an episode in it."""
-FORMAT = 2
-"""Number of the layout, in the file's header. Files of format 1 are read: in them, no jerk was measured."""
+FORMAT = 3
+"""Number of the layout, in the file's header. Files of formats 1, without measures of jerk, and 2 are read."""
+FIRST_WITH_BLOCKS = 3
+"""Format from which on episodes are in rows and blocks, and not in rows of a table `episode`."""
 APPLICATION = 0x61726D63
 """The letters "armc", in the file's header."""
 _TABLES = {
@@ -23,10 +26,21 @@ _TABLES = {
     "cell": "id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, identity TEXT NOT NULL, facts TEXT",
     "run": "cell INTEGER NOT NULL, record TEXT NOT NULL",
     "text": "id INTEGER PRIMARY KEY, text TEXT NOT NULL",
-    "episode": f"cell INTEGER NOT NULL, {definition()}, UNIQUE (cell, policy, episode)",
 }
-SCHEMA = {name: f"CREATE TABLE {name} ({columns}) STRICT" for name, columns in _TABLES.items()}
-_SCHEMA_OF_FORMAT_1 = SCHEMA | {"episode": SCHEMA["episode"].replace(definition(), definition(NUMBERS_OF_FORMAT_1))}
+
+
+def rows_table(number: int = FORMAT) -> str:
+    """Return the name of the table with a row for each episode, in files of a format."""
+    return "episode_row" if number >= FIRST_WITH_BLOCKS else "episode"
+
+
+def schema(number: int = FORMAT) -> dict[str, str]:
+    """Return the SQL that makes each table of a format."""
+    numbers = NUMBERS_OF_FORMAT_1 if number == 1 else NUMBERS
+    tables = {rows_table(number): f"cell INTEGER NOT NULL, {definition(numbers)}, UNIQUE (cell, policy, episode)"}
+    if number >= FIRST_WITH_BLOCKS:
+        tables["episode_block"] = f"cell INTEGER NOT NULL, {block_definition()}"
+    return {name: f"CREATE TABLE {name} ({columns}) STRICT" for name, columns in (_TABLES | tables).items()}
 
 
 @contextlib.contextmanager
@@ -73,18 +87,19 @@ def format_of(file: sqlite3.Connection) -> int:
 
 def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     """Raise `ValueError` or `sqlite3.Error` unless a database is a sound one of our own."""
-    if (number := format_of(file)) != 1:
+    if (number := format_of(file)) not in range(1, FORMAT):
         check_format({"format": number}, FORMAT)
-    schema = file.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()
-    if dict(schema) != (_SCHEMA_OF_FORMAT_1 if number == 1 else SCHEMA):
+    tables = schema(number)
+    if dict(file.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()) != tables:
         raise ValueError("it does not have the tables of armctl's results")
     if not whole:
         return
     if (message := file.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise ValueError(message)
-    foreign = "SELECT count(*) FROM episode WHERE cell NOT IN (SELECT id FROM cell)"
-    if count := file.execute(foreign).fetchone()[0]:
-        raise ValueError(f"it has {count} episodes that are not of its cells")
+    for table in tables.keys() - _TABLES.keys():
+        foreign = f"SELECT count(*) FROM {table} WHERE cell NOT IN (SELECT id FROM cell)"
+        if count := file.execute(foreign).fetchone()[0]:
+            raise ValueError(f"its table {table} has {count} rows of other cells")
 
 
 def files(path: Path) -> list[Path]:
@@ -95,3 +110,18 @@ def files(path: Path) -> list[Path]:
 def reason(error: Exception) -> str:
     """Return why a file could not be read or written."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+@contextlib.contextmanager
+def transaction(file: sqlite3.Connection) -> Iterator[None]:
+    """Write everything or nothing. A transaction that an interrupt has left open is undone."""
+    if file.in_transaction:
+        file.execute("ROLLBACK")
+    file.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        file.execute("COMMIT")
+    except BaseException:
+        if file.in_transaction:
+            file.execute("ROLLBACK")
+        raise

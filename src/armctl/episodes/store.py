@@ -14,34 +14,38 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.errors import ResultsError
 from armctl.core.files import one_writer, sealed, unsealed, write_atomically
+from armctl.episodes import blocks
+from armctl.episodes.assembly import Origin
 from armctl.episodes.database import (
     APPLICATION,
     FORMAT,
-    SCHEMA,
     check_file,
     connected,
     damage,
     files,
     format_of,
     reason,
+    schema,
+    transaction,
 )
+from armctl.episodes.packing import INSERT_ROW, pack_rows, remove, texts_used
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.rows import COLUMNS, row_of, selected_rows, sizes_of
+from armctl.episodes.rows import row_of
 from armctl.episodes.stored import (
     KEYS,
     STORE,
     cells_in,
     checksum_of,
+    episodes_in,
     episodes_of,
     judged_runs,
-    rows_in,
+    origin_of,
+    row_sizes_in,
     runs_of,
-    sizes_in,
-    table_from,
     texts_in,
 )
 from armctl.episodes.table import EpisodeTable
@@ -49,7 +53,6 @@ from armctl.runtime.folder import OTHERWISE, refuse_changes
 from armctl.runtime.identity import reasons_not_to_resume
 from armctl.runtime.provenance import Run
 
-_INSERT = f"INSERT INTO episode VALUES ({', '.join('?' * (1 + len(COLUMNS)))})"
 OTHER_RESULTS = "results of another comparison"
 
 
@@ -197,7 +200,7 @@ class CellWriter:
         """Rows that could not be written."""
         self.kept = EpisodeTable()
         self.runs = store.overwritten_runs(identity)
-        self._grown = False
+        self._grown, self._num_rows = False, 0
         present = {stored: (number, text) for number, stored, text, _ in cells_in(store.file)}
         self._number = present[name][0] if name in present else max((i for i, _ in present.values()), default=-1) + 1
         if name in present:
@@ -218,10 +221,8 @@ class CellWriter:
     def forget(self, episodes: NDArray[np.int64]) -> None:
         """Remove episodes that were kept, by their numbers. Raises `ResultsError`."""
         if len(episodes):
-            file = self._store.file
-            with self._store.full_disk(), transaction(file):
-                rows = [(self._number, int(episode)) for episode in episodes]
-                file.executemany("DELETE FROM episode WHERE cell = ? AND episode = ?", rows)
+            with self._store.full_disk(), transaction(self._store.file):
+                self._remove("episode", episodes)
             self.kept = self.kept[~np.isin(self.kept.column("episode"), episodes)]
 
     def write(self, result: EpisodeResult) -> None:
@@ -233,21 +234,22 @@ class CellWriter:
             try:
                 with transaction(store.file):
                     store.file.executemany("INSERT OR IGNORE INTO text VALUES (?, ?)", new)
-                    store.file.execute(_INSERT, (self._number, *row))
+                    store.file.execute(INSERT_ROW, (self._number, *row))
                 store.num_texts_written = len(store.texts)
-                return
+                self._num_rows += 1
             except sqlite3.Error as error:
                 store.failure = error
-        self._unwritten.append(row)
+        if store.failure is not None:
+            self._unwritten.append(row)
+        elif self._num_rows >= blocks.EPISODES:
+            self._num_rows = 0
+            pack_rows(store.file, self._number, self._origin)
 
     def episodes(self) -> EpisodeTable:
         """All episodes: those that were kept, and those that were added."""
         if not self._grown:
             return self.kept
-        file = self._store.file
-        sizes = sizes_in(file, self._number).joined(sizes_of(self._unwritten))
-        rows = itertools.chain(rows_in(file, self._number, sizes), selected_rows(self._unwritten, sizes))
-        return table_from(rows, sizes, [*self._store.texts], self.identity)
+        return episodes_in(self._store.file, self._number, self._origin, self._unwritten)
 
     def finish(self, facts: Mapping[str, Any], runs: Iterable[Run], without: Iterable[str] = ()) -> list[Run]:
         """Write what is known besides the episodes, with the `runs`, and remove the episodes of policies `without`.
@@ -257,11 +259,17 @@ class CellWriter:
         """
         file = self._store.file
         with self._store.full_disk(), transaction(file):
-            removed = [(self._number, self._store.texts.get(name)) for name in without]
-            file.executemany("DELETE FROM episode WHERE cell = ? AND policy = ?", removed)
+            self._remove("policy", [self._store.texts[name] for name in without if name in self._store.texts])
             counted = self._write_runs(runs)
             file.execute("UPDATE cell SET facts = ? WHERE id = ?", (sealed(facts), self._number))
         return counted
+
+    @property
+    def _origin(self) -> Origin:
+        return origin_of(self.identity, [*self._store.texts])
+
+    def _remove(self, name: str, values: ArrayLike) -> None:
+        remove(self._store.file, self._number, self._origin, name, values)
 
     def _resume(self, identity_text: str, episodes: int) -> None:
         store = self._store
@@ -270,7 +278,10 @@ class CellWriter:
             refuse_changes(store.folder or Path(), reasons_not_to_resume(identity, self.identity), OTHER_RESULTS)
             self.identity = identity
             self.kept = episodes_of(store.file, self._number, identity, [*store.texts])
-            self.runs = runs_of(store.file, self._number)
+            self.runs, self._num_rows = (
+                runs_of(store.file, self._number),
+                row_sizes_in(store.file, self._number).episodes,
+            )
         if (last := self.kept.column("episode").max(initial=0)) >= episodes:
             raise ResultsError(
                 f"{store.folder} already holds episode {last}, beyond the {episodes} asked for: ask for more, "
@@ -282,8 +293,8 @@ class CellWriter:
 
         Overwritten ones stay.
         """
-        ids = "SELECT text FROM text WHERE id IN (SELECT run FROM episode WHERE cell = ?)"
-        runs_with_episodes = {text for (text,) in self._store.file.execute(ids, (self._number,))}
+        texts = [*self._store.texts]
+        runs_with_episodes = {texts[i] for i in texts_used(self._store.file, self._number, "run")}
         counted: list[Run] = []
         for run in runs:
             verdicts = {(other.baseline, other.margin) for other in counted if other.judged}
@@ -299,21 +310,6 @@ class CellWriter:
         self._store.file.executemany("INSERT INTO run VALUES (?, ?)", records)
 
 
-@contextlib.contextmanager
-def transaction(file: sqlite3.Connection) -> Iterator[None]:
-    """Write everything or nothing. A transaction that an interrupt has left open is undone."""
-    if file.in_transaction:
-        file.execute("ROLLBACK")
-    file.execute("BEGIN IMMEDIATE")
-    try:
-        yield
-        file.execute("COMMIT")
-    except BaseException:
-        if file.in_transaction:
-            file.execute("ROLLBACK")
-        raise
-
-
 def _make(path: Path) -> None:
     with connected(path, "rw") as file:
         _make_tables(file)
@@ -323,5 +319,5 @@ def _make_tables(file: sqlite3.Connection) -> None:
     with transaction(file):
         file.execute(f"PRAGMA application_id = {APPLICATION}")
         file.execute(f"PRAGMA user_version = {FORMAT}")
-        for table in SCHEMA.values():
+        for table in schema().values():
             file.execute(table)

@@ -1,9 +1,10 @@
 """Reads the store of a results folder, which anybody may have written."""
 
 import contextlib
+import itertools
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,8 +16,10 @@ from pydantic import TypeAdapter
 from armctl.core.errors import ResultsError
 from armctl.core.files import digest, unsealed
 from armctl.core.registration import bare_id
-from armctl.episodes.database import FORMAT, check_file, connected, damage, files, format_of
-from armctl.episodes.rows import NULLABLE, PLACEHOLDERS, SINCE_FORMAT_2, Sizes, table_of_rows
+from armctl.episodes.assembly import Origin, table_of
+from armctl.episodes.blocks import BLOCK_COLUMNS
+from armctl.episodes.database import FIRST_WITH_BLOCKS, check_file, connected, damage, files, format_of, rows_table
+from armctl.episodes.rows import COLUMNS, SINCE_FORMAT_2, Sizes, Texts, sizes_of
 from armctl.episodes.table import EpisodeTable
 from armctl.runtime.provenance import Run
 
@@ -29,6 +32,7 @@ MEASURED = "measured"
 """Latency in real time: the times that decisions take."""
 POLICY_SEED = "policy_seed"
 """Key, in a cell's identity, of the secret of its policies' random numbers, in decimal digits."""
+BLOCKS_OF_CELL = "FROM episode_block WHERE cell = ?"
 _RUNS = TypeAdapter(list[Run])
 
 
@@ -145,50 +149,70 @@ def texts_in(file: sqlite3.Connection) -> list[str]:
 
 def episodes_of(file: sqlite3.Connection, cell: int, identity: Mapping[str, Any], texts: Sequence[str]) -> EpisodeTable:
     """Return the episodes of a cell in a file that may come from a stranger. Raises `ValueError`."""
-    policies, sizes = KEYS.validate_python(identity).policies, sizes_in(file, cell)
-    table = table_from(rows_in(file, cell, sizes), sizes, texts, identity, policies)
+    table = episodes_in(
+        file, cell, origin_of(identity, texts)._replace(policies=KEYS.validate_python(identity).policies)
+    )
     if any(len(np.unique(part.column("episode"))) < len(part) for part in table.by_policy().values()):
         raise ValueError("it has an episode for the second time")
     return table
 
 
-def rows_in(file: sqlite3.Connection, cell: int, sizes: Sizes) -> sqlite3.Cursor:
-    """Return the rows of a cell, of these sizes or smaller than they, with the columns that are selected for them."""
-    query = f"SELECT {', '.join(sizes.selected.values())} {_from_cell(file)}"
-    return file.execute(query, {"cell": cell, **PLACEHOLDERS})
+def episodes_in(
+    file: sqlite3.Connection, cell: int, origin: Origin, unwritten: Sequence[Sequence[Any]] = ()
+) -> EpisodeTable:
+    """Return the episodes of a cell, and those in rows that could not be written. Raises `ValueError`."""
+    rows = itertools.chain(rows_in(file, cell), unwritten)
+    return table_of(rows, blocks_in(file, cell), sizes_in(file, cell).joined(sizes_of(unwritten)), origin)
+
+
+def rows_in(file: sqlite3.Connection, cell: int) -> Iterator[tuple[Any, ...]]:
+    """Return the rows of a cell's episodes, by `COLUMNS`."""
+    missing = SINCE_FORMAT_2 if format_of(file) == 1 else ()
+    columns = ", ".join("NULL" if name in missing else name for name in COLUMNS)
+    return file.execute(f"SELECT {columns} {_rows_of_cell(file)}", (cell,))
+
+
+def blocks_in(file: sqlite3.Connection, cell: int, columns: Sequence[str] = BLOCK_COLUMNS) -> Iterator[tuple[Any, ...]]:
+    """Return the blocks of a cell's episodes, by their `columns`."""
+    if format_of(file) < FIRST_WITH_BLOCKS:
+        return iter(())
+    return file.execute(f"SELECT {', '.join(columns)} {BLOCKS_OF_CELL}", (cell,))
 
 
 def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
     """Return the sizes of the episodes of a cell as a table."""
-    missing = () if format_of(file) == FORMAT else SINCE_FORMAT_2
-    counts = ", ".join("0" if name in missing else f"count({name})" for name in NULLABLE)
-    lists = (
-        "coalesce(sum(length(reward_terms)) / 8, 0), coalesce(sum(min(length, length(decision_ms) / 2)), 0), "
-        "coalesce(max(length(decision_ms) / max(length, 1)), 0)"
+    if format_of(file) < FIRST_WITH_BLOCKS:
+        return row_sizes_in(file, cell)
+    of_blocks = _sizes(file, cell, BLOCKS_OF_CELL, "max(min(episodes, length(policy)), 1)", "max(decisions, 0)")
+    return row_sizes_in(file, cell).joined(of_blocks)
+
+
+def row_sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
+    """Return the sizes of those episodes of a cell that are rows."""
+    return _sizes(file, cell, _rows_of_cell(file), "1", "length")
+
+
+def _sizes(file: sqlite3.Connection, cell: int, source: str, episodes: str, decisions: str) -> Sizes:
+    query = (
+        f"SELECT coalesce(sum({episodes}), 0), coalesce(sum(length(reward_terms)) / 8, 0), "
+        f"coalesce(sum(min({decisions}, length(decision_ms) / 2)), 0), "
+        f"coalesce(max(length(decision_ms) / max({decisions}, 1)), 0) {source}"
     )
-    query = f"SELECT count(*), {lists}, {counts} {_from_cell(file)}"
-    rows, rewards, decisions, width, *non_null = file.execute(query, {"cell": cell}).fetchone()
-    return Sizes(rows, rewards, decisions, width, tuple(non_null))
+    return Sizes(*file.execute(query, (cell,)).fetchone())
 
 
-def _from_cell(file: sqlite3.Connection) -> str:
+def _rows_of_cell(file: sqlite3.Connection) -> str:
     """Return the end of a query for a cell: in the order of the file if that holds no others, else by the index."""
     is_single = file.execute("SELECT count(*) FROM cell").fetchone()[0] == 1
-    return f"FROM episode {'NOT INDEXED' if is_single else ''} WHERE cell = :cell"
+    return f"FROM {rows_table(format_of(file))} {'NOT INDEXED' if is_single else ''} WHERE cell = ?"
 
 
-def table_from(
-    rows: Iterable[Sequence[Any]],
-    sizes: Sizes,
-    texts: Sequence[str],
-    identity: Mapping[str, Any],
-    policies: Sequence[str] | None = None,
-) -> EpisodeTable:
-    """Return the episodes of a cell from its rows. Raises `ValueError`."""
+def origin_of(identity: Mapping[str, Any], texts: Sequence[str]) -> Origin:
+    """Return what the episodes of a cell have in common."""
     keys = KEYS.validate_python(identity)
-    return table_of_rows(rows, sizes, texts, checksum_of(identity), bare_id(keys.env), keys.seed, policies)
+    return Origin(Texts(texts), checksum_of(identity), bare_id(keys.env), keys.seed)
 
 
 def checksum_of(identity: Mapping[str, Any]) -> int:
-    """Return the part of a row's checksum that says to which cell it belongs."""
+    """Return the part of an episode's checksum that says to which cell it belongs."""
     return crc32(digest(identity).encode())

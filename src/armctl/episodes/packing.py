@@ -1,0 +1,55 @@
+"""Changes to a cell's episodes in the store: many rows become a block, and some episodes are removed."""
+
+import contextlib
+import sqlite3
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.episodes.assembly import Origin
+from armctl.episodes.blocks import BLOCK_COLUMNS, block_of, block_without, unpacked_numbers
+from armctl.episodes.database import transaction
+from armctl.episodes.rows import COLUMNS, columns_of_rows
+from armctl.episodes.stored import blocks_in, row_sizes_in, rows_in
+
+LARGEST_LISTS = 2**27
+"""Bytes that a block's rewards and decision times may take: half of what the store may hold in one value."""
+INSERT_ROW, INSERT_BLOCK = (
+    f"INSERT INTO {table} VALUES ({', '.join('?' * (1 + len(columns)))})"
+    for table, columns in {"episode_row": COLUMNS, "episode_block": BLOCK_COLUMNS}.items()
+)
+
+
+def pack_rows(file: sqlite3.Connection, cell: int, origin: Origin) -> None:
+    """Make a block of a cell's rows. If it would be too large, or cannot be made, they stay rows."""
+    with contextlib.suppress(sqlite3.Error, ValueError, IndexError), transaction(file):
+        sizes = row_sizes_in(file, cell)
+        if 8 * (sizes.rewards + sizes.decisions) > LARGEST_LISTS:
+            return
+        columns = columns_of_rows([*rows_in(file, cell)], origin.texts, origin.checksum, sizes.time_type)
+        file.execute(INSERT_BLOCK, (cell, *block_of(columns, origin.texts, origin.checksum)))
+        file.execute("DELETE FROM episode_row WHERE cell = ?", (cell,))
+
+
+def remove(file: sqlite3.Connection, cell: int, origin: Origin, name: str, values: ArrayLike) -> None:
+    """Remove the episodes of a cell of which a column of whole numbers has one of some values."""
+    removed = np.asarray(values, np.int64)
+    for value in removed.tolist():
+        file.execute(f"DELETE FROM episode_row WHERE cell = ? AND {name} = ?", (cell, value))
+    for (place,) in [*blocks_in(file, cell, ["rowid"])] if len(removed) else []:
+        query = f"SELECT {', '.join(BLOCK_COLUMNS)} FROM episode_block WHERE rowid = ?"
+        block = file.execute(query, (place,)).fetchone()
+        rest = block_without(block, name, removed, origin.texts, origin.checksum)
+        if rest is block:
+            continue
+        file.execute("DELETE FROM episode_block WHERE rowid = ?", (place,))
+        if rest is not None:
+            file.execute(INSERT_BLOCK, (cell, *rest))
+
+
+def texts_used(file: sqlite3.Connection, cell: int, name: str) -> set[int]:
+    """Return the numbers of the texts that a column of a cell's episodes refers to."""
+    used = {number for (number,) in file.execute(f"SELECT DISTINCT {name} FROM episode_row WHERE cell = ?", (cell,))}
+    for episodes, packed in blocks_in(file, cell, ["episodes", name]):
+        used.update(np.unique(unpacked_numbers(name, packed, episodes)).tolist())
+    return used
