@@ -25,19 +25,18 @@ import numpy as np
 import typer
 from printing import show, versioned_table
 
-import armctl
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.store import Store
-from armctl.episodes.stored import STORE, UNDISTURBED, read_identities
+from armctl.episodes.stored import STORE, UNDISTURBED, read_store
 from armctl.report.page import REPORT
 
 REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
 
 WORLDS = (64, 256, 1024, 4096)
 ROUNDS = 3
+PLAYED = "import armctl; done = armctl.compare(env=env, episodes=int(episodes), out=folder)"
 JOBS = {
-    "summary": "import armctl; done = armctl.compare(env=env, episodes=int(episodes), out=folder); "
-    "assert done.resumed == len(done.results), done.failures",
+    "summary": f"{PLAYED}; assert done.resumed == len(done.results), done.failures",
     "read": "from armctl.episodes.stored import read_store; read_store(Path(folder))",
     "report": "from armctl.report import write_report; write_report(folder, video=False, env=env)",
 }
@@ -74,11 +73,15 @@ def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: 
     for name in env:
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")
-            started = _in_a_fresh_process("fill", few, name, 30)
-            filled = _in_a_fresh_process("fill", many, name, rows)
+            for folder in (few, many):
+                _cost(PLAYED, name, folder, 1)
+            started, filled = (_in_a_fresh_process("fill", *of) for of in ((few, 30), (many, rows)))
             counts = f"{filled['episodes']:,}", f"{filled['decisions'] / 1e6:.0f} M"
-            for job in JOBS:
-                start, figures = _cost(job, name, few, started), _cost(job, name, many, filled)
+            for job, code in JOBS.items():
+                start, figures = (
+                    _cost(code, name, folder, to["episodes"] / to["policies"])
+                    for folder, to in ((few, started), (many, filled))
+                )
                 written = {"summary": many.iterdir(), "read": [many / STORE], "report": [many / REPORT]}[job]
                 output.add_row(
                     f"`{name}`", *counts, job, f"{figures['seconds']:.1f}", f"{figures['peak'] / 1e3:,.0f}",
@@ -110,12 +113,11 @@ def step(env: str, n: int, steps: int) -> None:
 
 
 @app.command(hidden=True)
-def fill(folder: Path, env: str, rows: int) -> None:
-    """Play an episode with each policy, and write others that look like it."""
-    episodes: list[EpisodeResult] = []
-    armctl.compare(env=env, episodes=1, out=folder, progress=episodes.append)
+def fill(folder: Path, rows: int) -> None:
+    """Write episodes that look like the first ones, those of a comparison with one of each policy."""
+    cell = read_store(folder).cells[UNDISTURBED]
+    episodes, identity = [*cell.episodes], cell.identity
     each, decisions = rows // len(episodes), 0
-    (identity,) = read_identities(folder)
     with Store(folder) as store:
         store.open(identity["seed"], [UNDISTURBED])
         log = store.cell(UNDISTURBED, identity, each)
@@ -150,11 +152,10 @@ def _size(*files: Path) -> float:
     return sum(file.stat().st_size for file in files) / 1e6
 
 
-def _cost(job: str, env: str, folder: Path, filled: dict[str, float]) -> dict[str, float]:
-    """Return what a job takes that loads nothing of this benchmark."""
-    episodes = int(filled["episodes"] / filled["policies"])
+def _cost(code: str, env: str, folder: Path, episodes: float) -> dict[str, float]:
+    """Return what some Python takes in a process that loads nothing of this benchmark."""
     begin = "import json, sys, time; from pathlib import Path; env, folder, episodes = sys.argv[1:]"
-    return _printed("-c", f"{begin}\n{JOBS[job]}{COST}", env, folder, episodes)
+    return _printed("-c", f"{begin}\n{code}{COST}", env, folder, int(episodes))
 
 
 def _in_a_fresh_process(*command: object) -> dict[str, float]:
