@@ -83,6 +83,17 @@ def test_lists_of_numbers_are_taken_in_any_order():
     assert taken.lengths.tolist() == [1, 2, 0, 1]
 
 
+@pytest.mark.parametrize("num_codes", [3, 50])
+def test_codes_are_placed_as_they_first_occur(num_codes):
+    for count in (0, 1, 20):
+        codes = np.random.default_rng(0).integers(0, 3, count)
+        firsts, places = columns.by_occurrence(codes, num_codes)
+        order = list(dict.fromkeys(codes.tolist()))
+        assert codes[firsts].tolist() == order
+        assert firsts.tolist() == [codes.tolist().index(code) for code in order]
+        assert places.tolist() == [order.index(code) for code in codes]
+
+
 @pytest.mark.parametrize("kind", ["u2", "i4", "f8"])
 def test_counted_times_have_the_quantiles_of_all_of_them(kind):
     rng = np.random.default_rng(0)

@@ -106,6 +106,18 @@ class Ragged:
         return Ragged.of(self.values[np.repeat(shifts, lengths) + np.arange(lengths.sum())], lengths)
 
 
+def by_occurrence(codes: NDArray[np.intp], num_codes: int) -> tuple[Rows, NDArray[np.intp]]:
+    """Return where each of the codes (k,) below `num_codes` first occurs, in this order, and (k,) its place in it."""
+    if num_codes > len(codes):
+        codes, num_codes = np.unique(codes, return_inverse=True)[1], len(codes)
+    first = np.full(num_codes, len(codes))
+    first[codes[::-1]] = np.arange(len(codes))[::-1]  # of equal indices, the last one counts
+    firsts = np.sort(first[first < len(codes)])
+    places = np.empty(num_codes, np.intp)
+    places[codes[firsts]] = np.arange(len(firsts))
+    return firsts, places[codes]
+
+
 def milliseconds(times: NDArray[Any]) -> Array:
     """Return decision times in ms, which are so already unless they are whole ticks."""
     if times.dtype.kind == "f":

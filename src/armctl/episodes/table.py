@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
-from armctl.episodes.columns import Column, Pages, Ragged, Rows, TimeCounts, is_unknown, milliseconds
+from armctl.episodes.columns import Column, Pages, Ragged, Rows, TimeCounts, by_occurrence, is_unknown, milliseconds
 from armctl.episodes.metrics import Metrics
 from armctl.episodes.record import COLUMNS, EpisodeResult
 
@@ -112,14 +112,13 @@ class EpisodeTable(Sequence[EpisodeResult]):
     def different(self, *names: str) -> tuple[list[tuple[Any, ...]], NDArray[np.intp]]:
         """Return the different values of some fields among `FEW`, as they first occur, and which each episode has."""
         columns = [self._columns[name] for name in names]
-        codes = np.zeros(len(self), np.intp)
+        codes, num_codes = np.zeros(len(self), np.intp), 1
         for values, different in columns:
             assert different is not None
-            codes = np.unique(codes, return_inverse=True)[1] * len(different) + values[self._rows]
-        _, firsts, codes = np.unique(codes, return_index=True, return_inverse=True)
-        order = np.argsort(firsts)
-        rows = self._rows[firsts[order]]
-        return list(zip(*(each.at(rows).tolist() for each in columns), strict=True)), np.argsort(order)[codes]
+            firsts, codes = by_occurrence(codes * len(different) + values[self._rows], num_codes * len(different))
+            num_codes = len(firsts)
+        rows = self._rows[firsts]
+        return list(zip(*(each.at(rows).tolist() for each in columns), strict=True)), codes
 
     def counts(self, *names: str) -> dict[tuple[Any, ...], int]:
         """Return the numbers of episodes by the different values of some fields among `FEW`, as they first occur."""
