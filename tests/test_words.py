@@ -42,7 +42,7 @@ NOT_NAMES = re.compile(
     re.IGNORECASE,
 )
 SIDES = (
-    *("kernels/bridge.py", "kernels/planar.py", "kernels/rays.py", "kernels/time_to_go.py"),
+    *("kernels/bridge.py", "kernels/planar.py", "kernels/rays.py"),
     *("planning/cost_to_go.py", "planning/time_to_go.py", "robots/rover.py", "scene/bridge_map.py"),
     *("tasks/bridge/observation.py", "tasks/bridge/planar.py"),
 )

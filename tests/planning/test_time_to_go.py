@@ -23,8 +23,8 @@ def bridge(*people, blocks=GAP):
 def to_go(found, points, times):
     points, times = np.broadcast_arrays(np.array(points, float), np.asarray(times, float)[..., None])
     points, times = points.reshape(-1, 2), times[..., 0].ravel()
-    alone, extra = (np.broadcast_to(one, (len(points), *one.shape)) for one in (found.unhindered, found.extra))
-    return SPACE_TIME.interpolate(alone, extra, points, times)
+    bridges = np.zeros(len(points), dtype=int)
+    return SPACE_TIME.interpolate(found.unhindered[None], found.extra[None], bridges, points, times)
 
 
 def test_without_people_it_is_the_path_over_the_speed():

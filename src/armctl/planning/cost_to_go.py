@@ -6,6 +6,7 @@ point without clearance gets the length of the nearest point that has it, plus a
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ OTHER_ROWS = np.array([(sign * right, sign * left) for right, left in STEPS for 
 """Those of them that lead to other rows, both ways."""
 OFF_CLEARANCE = 3.0
 """Path length (m) added per metre from a point to the nearest one with clearance."""
+Floats = NDArray[np.floating[Any]]
+Indices = NDArray[np.integer[Any]]
 
 
 @dataclass(frozen=True)
@@ -60,18 +63,21 @@ class Lattice:
         off, nearest = distance_transform_edt(~mask, self.spacings, return_indices=True)
         return tuple(nearest), np.asarray(off)
 
-    def interpolate(self, lengths: Array, points: Array, every: int = 1) -> Array:
+    def interpolate(
+        self, lengths: Floats, points: Array, every: int = 1, tables: tuple[Indices, ...] | None = None
+    ) -> Array:
         """Interpolate lengths (m,) at points (m, 2) bilinearly, each point on a bridge of its own (m, nx, ny).
 
-        Lengths may be those of every second, third ... point in both directions, by `every`.
+        Lengths may be those of every second, third ... point in both directions, by `every`. With `tables`, indices
+        (m,) of all dimensions but the last two, each point is in its table of `lengths[tables]`, which is not copied.
         """
-        last = np.array(lengths.shape[1:]) - 1
+        last = np.array(lengths.shape[-2:]) - 1
         places = np.clip((points - [0.0, -self.half_width]) / (every * self.spacings), 0, last)
         i, j = corners = np.minimum(places.astype(int), last - 1).T
         x, y = places.T - corners
-        bridges = np.arange(len(points))
-        right = (1 - x) * lengths[bridges, i, j] + x * lengths[bridges, i + 1, j]
-        left = (1 - x) * lengths[bridges, i, j + 1] + x * lengths[bridges, i + 1, j + 1]
+        bridges = (np.arange(len(points)),) if tables is None else tables
+        right = (1 - x) * lengths[*bridges, i, j] + x * lengths[*bridges, i + 1, j]
+        left = (1 - x) * lengths[*bridges, i, j + 1] + x * lengths[*bridges, i + 1, j + 1]
         return np.asarray((1 - y) * right + y * left)
 
     @cached_property

@@ -8,13 +8,14 @@ point and a quarter of the moments: it varies less than the times themselves.
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.arrays import Array
 from armctl.kernels import time_to_go as kernel
-from armctl.planning.cost_to_go import OFF_CLEARANCE, STEPS, Lattice
+from armctl.planning.cost_to_go import OFF_CLEARANCE, STEPS, Indices, Lattice
 from armctl.scene import BridgeMap
 from armctl.scene.pedestrians import NO_PEDESTRIANS
 
@@ -72,31 +73,49 @@ class SpaceTime:
         reachable = np.isfinite(paths)
         nearest, off = self.lattice.nearest(reachable)
         unhindered = np.where(reachable, paths / self.speed, BLOCKED)
-        moves = np.array([sign * np.array(step[::-1]) for step in STEPS for sign in (1, -1)])
-        durations = np.hypot(*(moves * self.lattice.spacings[::-1]).T) / self.speed
-        layers = np.floor(durations / self.step + ROUNDING).astype(int)
-        shares = np.maximum(durations / self.step - layers, 0.0)
-        times = np.full((1 + self._layers, len(y) + 2 * PAD, len(x) + 2 * PAD), BLOCKED, dtype=np.float32)
+        moves = self._moves
+        times = np.full((1 + self._layers + moves.layers.max(), *self._padded), BLOCKED, dtype=np.float32)
         inside = times[:, PAD:-PAD, PAD:-PAD]
-        inside[-1] = unhindered.T
-        kernel.spread(
-            times, np.ascontiguousarray((unhindered == 0).T), np.where(reachable.T, 0.0, BLOCKED).astype(np.float32),
-            kernel.People(people.positions(self.step * np.arange(len(times))), people.radius + clearance, SLOWDOWN),
-            kernel.Grid(y, x, PAD),
-            kernel.Moves(self.step, moves, durations.astype(np.float32), layers, shares.astype(np.float32)),
-        )  # fmt: skip
+        inside[self._layers :] = unhindered.T
+        bounds = np.full((2, *self._padded), BLOCKED, dtype=np.float32)
+        bounds[:, PAD:-PAD, PAD:-PAD] = np.where(reachable, 0.0, BLOCKED).T, np.where(unhindered == 0, 0.0, np.inf).T
+        positions = people.positions(self.step * np.arange(self._layers))
+        vicinities = kernel.People(positions, people.radius + clearance, SLOWDOWN)
+        kernel.spread(times, bounds, vicinities, kernel.Grid(y, x, PAD), moves)
         i, j = (index[::EVERY, ::EVERY] for index in nearest)
-        extra = inside[::EVERY_LAYER, j, i] - unhindered[i, j].astype(np.float32)
+        extra = inside[: 1 + self._layers : EVERY_LAYER, j, i] - unhindered[i, j].astype(np.float32)
         return TimesToGo(unhindered[nearest] + OFF_CLEARANCE / self.speed * off, extra)
 
-    def interpolate(self, unhindered: Array, extra: NDArray[np.float32], points: Array, times: Array) -> Array:
-        """Return times to go (m,) s at points (m, 2) and times (m,) s, on a bridge each: (m, nx, ny), (m, *shape)."""
+    def interpolate(
+        self, unhindered: Array, extra: NDArray[np.float32], bridges: Indices, points: Array, times: Array
+    ) -> Array:
+        """Return times to go (m,) s at points (m, 2) and times (m,) s on `bridges` (m,).
+
+        These are indices of `unhindered` (n, nx, ny) and `extra` (n, *shape).
+        """
         moments = np.clip(times / self.interval, 0, extra.shape[1] - 1)
         first = np.minimum(moments.astype(int), extra.shape[1] - 2)
-        bridges, share = np.arange(len(points)), moments - first
-        earlier, later = (self.lattice.interpolate(extra[bridges, first + k], points, EVERY) for k in (0, 1))
-        return np.asarray(self.lattice.interpolate(unhindered, points) + (1 - share) * earlier + share * later)
+        share = moments - first
+        earlier, later = (self.lattice.interpolate(extra, points, EVERY, (bridges, first + k)) for k in (0, 1))
+        without_people = self.lattice.interpolate(unhindered, points, tables=(bridges,))
+        return np.asarray(without_people + (1 - share) * earlier + share * later)
 
     @property
     def _layers(self) -> int:
         return EVERY_LAYER * round(self.horizon / self.interval)
+
+    @property
+    def _padded(self) -> tuple[int, int]:
+        """Shape of a layer of times."""
+        nx, ny = self.lattice.shape
+        return ny + 2 * PAD, nx + 2 * PAD
+
+    @cached_property
+    def _moves(self) -> kernel.Moves:
+        steps = np.array([sign * np.array(step[::-1]) for step in STEPS for sign in (1, -1)])
+        durations = np.hypot(*(steps * self.lattice.spacings[::-1]).T) / self.speed
+        order = np.argsort(durations, kind="stable")
+        steps, durations = steps[order], durations[order]
+        layers = np.floor(durations / self.step + ROUNDING).astype(int)
+        shares = np.maximum(durations / self.step - layers, 0.0)
+        return kernel.Moves(self.step, steps, durations.astype(np.float32), layers, shares.astype(np.float32))

@@ -28,7 +28,7 @@ class CrossingCostToGo(Potential):
 
     def potentials(self, ids: Ids) -> Array:
         """Return (len(ids),) m."""
-        return -self._lattice.interpolate(self._lengths[ids], self.task.state.poses[ids, :2])
+        return -self._lattice.interpolate(self._lengths, self.task.state.poses[ids, :2], tables=(ids,))
 
 
 class CrossingTimeToGo(Potential):
@@ -57,4 +57,4 @@ class CrossingTimeToGo(Potential):
         """Return (len(ids),) s."""
         state = self.task.state
         points, times = state.poses[ids, :2], state.time[ids]
-        return -self._space_time.interpolate(self._unhindered[ids], self._extra[ids], points, times)
+        return -self._space_time.interpolate(self._unhindered, self._extra, ids, points, times)
