@@ -5,8 +5,9 @@ import pytest
 
 from armctl.core.errors import ResultsError
 from armctl.episodes import blocks, packing
+from armctl.episodes.rows import NULLABLE
 from armctl.episodes.store import Store
-from armctl.episodes.stored import blocks_in, read_store, rows_in
+from armctl.episodes.stored import blocks_in, origin_of, read_store, rows_in, sizes_in
 
 from ..made_up_episodes import OWN, played, same
 from ..stores import one_cell, read_cell
@@ -41,6 +42,30 @@ def test_full_blocks_are_made_while_episodes_are_written(tmp_path):
             assert counts(store) == [(2, 2), (4, 4)][begun]
             same(cell.episodes().sorted("ba"), FOUND[: 12 * begun + 12])
     same(read_cell(tmp_path).episodes.sorted("ba"), FOUND)
+
+
+def test_a_block_is_made_of_the_first_rows_and_of_no_fewer(tmp_path, monkeypatch):
+    """After a block could not be made, and after rows were removed."""
+    with one_cell(tmp_path, OWN, 12) as cell, monkeypatch.context() as change:
+        change.setattr(packing, "LARGEST_LISTS", 0)
+        for result in FOUND[:9]:
+            cell.write(result)
+    with Store(tmp_path) as store:
+        store.open(OWN["seed"], ["none"])
+        cell = store.cell("none", OWN, 12)
+        cell.write(FOUND[9])
+        assert counts(store) == (1, 5)
+        cell.forget(np.arange(5, 10))
+        for result in FOUND[10:15]:
+            cell.write(result)
+        assert counts(store) == (2, 0)
+        for result in FOUND[15:17]:
+            cell.write(result)
+        cell.forget(np.array([4]))
+        for result in FOUND[17:20]:
+            cell.write(result)
+        assert counts(store) == (2, 4)
+    same(read_cell(tmp_path).episodes.sorted("ba"), [*FOUND[:4], *FOUND[10:16], *FOUND[17:20]])
 
 
 def test_what_would_be_too_large_or_cannot_be_written_stays_rows(tmp_path, monkeypatch):
@@ -91,6 +116,7 @@ def test_episodes_are_removed_from_blocks_and_rows(made_up):
         (f"decisions = {2**62}", "do not fit the length"),
         ("decision_ms = zeroblob(length(decision_ms))", "a block of episodes was changed"),
         ("reward_terms = x'00'", "a block of episodes was changed"),
+        ("policy = zeroblob(9), episodes = 10001", "a block of episodes was changed"),
         ("checksum = checksum + 1", "a block of episodes was changed"),
         ("cell = 1", "its table episode_block has 1 rows of other cells"),
     ],
@@ -112,6 +138,37 @@ def test_a_block_without_episodes_is_told(made_up):
         "UPDATE episode_block SET episodes = 0",
     )
     with pytest.raises(ResultsError, match="a block of episodes was changed"):
+        read_store(made_up)
+
+
+def test_few_bytes_ask_for_little_memory(made_up):
+    """Blocks that claim more episodes than their other columns hold are told before there is memory for all of them."""
+    with Store(None) as store:
+        store.open(OWN["seed"], ["none"])
+        store.cell("none", OWN, 12)
+        names = [name for name in blocks.BLOCK_COLUMNS if name not in NULLABLE]
+        values = [10_000, 0, *([b""] * (len(names) - 3)), 0]
+        values[names.index("policy")] = bytes(10_000)
+        query = f"INSERT INTO episode_block (cell, {', '.join(names)}) VALUES (0, {', '.join('?' * len(names))})"
+        store.file.executemany(query, [values] * 100)
+        assert sizes_in(store.file, 0).episodes == 100
+
+
+def test_forged_numbers_of_rewards_are_told(made_up, monkeypatch):
+    """Too few in one block and too many in another one, with right checksums."""
+    with Store(made_up) as store:
+        store.open(OWN["seed"], ["none"])
+        origin, rows = origin_of(OWN, [*store.texts]), [*blocks_in(store.file, 0, ("rowid", *blocks.BLOCK_COLUMNS))]
+        for change, (place, *block) in zip((-1, 1), rows, strict=False):
+            columns = blocks.columns_of_block(block, origin.texts, origin.checksum)
+            columns["reward_terms"] = np.resize(columns["reward_terms"], len(columns["reward_terms"]) + change)
+            forged = blocks.block_of(columns, origin.texts, origin.checksum)
+            names = ", ".join(blocks.BLOCK_COLUMNS)
+            store.file.execute("DELETE FROM episode_block WHERE rowid = ?", (place,))
+            store.file.execute(
+                f"INSERT INTO episode_block (cell, {names}) VALUES (0, {', '.join('?' * len(forged))})", forged
+            )
+    with pytest.raises(ResultsError, match="too few or too many reward terms"):
         read_store(made_up)
 
 

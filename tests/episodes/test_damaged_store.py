@@ -9,8 +9,9 @@ import pytest
 from armctl.core.errors import ResultsError
 from armctl.core.files import sealed
 from armctl.episodes import blocks
-from armctl.episodes.database import FORMAT
+from armctl.episodes.database import FORMAT, schema
 from armctl.episodes.rows import SINCE_FORMAT_2
+from armctl.episodes.store import Store
 from armctl.episodes.stored import STORE, read_store
 
 from ..made_up_episodes import OWN, played, same
@@ -92,6 +93,40 @@ def test_a_jerk_that_is_removed_or_added_is_told(made_up, name):
     edit(made_up, f"UPDATE episode_row SET {name} = CASE WHEN {name} IS NULL THEN 1.0 END WHERE rowid = 2")
     with pytest.raises(ResultsError, match="an episode was changed"):
         read_store(made_up)
+
+
+def test_a_trigger_with_the_name_of_a_table_is_told(made_up, tmp_path_factory):
+    other, trigger = (
+        tmp_path_factory.mktemp("other"),
+        "AFTER UPDATE OF facts ON cell BEGIN DELETE FROM episode_row; END",
+    )
+    tables = schema()
+    made = [*tables.values()]
+    made.insert([*tables].index("episode_row"), f"CREATE TRIGGER episode_row {trigger}")
+    copies = [f"INSERT INTO {name} SELECT * FROM whole.{name}" for name in tables]
+    edit(other, f"PRAGMA user_version = {FORMAT}", *made, f"ATTACH '{made_up / STORE}' AS whole", *copies)
+    with pytest.raises(ResultsError, match="does not have the tables"):
+        read_store(other)
+
+
+@pytest.mark.slow
+def test_a_zero_that_becomes_a_one_is_told(tmp_path):
+    """By one bit of its type, in the row or in the index: the number of a cell, by which its rows are found."""
+    with Store(tmp_path) as store:
+        store.open(OWN["seed"], ["one", "other"])
+        for name, options in {"one": {}, "other": {"x": 1}}.items():
+            cell = store.cell(name, OWN | {"env_options": options}, 12)
+            for result in played(4, "ba"):
+                cell.write(result)
+    whole, refused = (tmp_path / STORE).read_bytes(), 0
+    for place in (i for i, byte in enumerate(whole) if byte == 8):
+        (tmp_path / STORE).write_bytes(whole[:place] + bytes([9]) + whole[place + 1 :])
+        try:
+            for stored in read_store(tmp_path).cells.values():
+                same(stored.episodes.sorted("ba"), list(played(4, "ba")))
+        except ResultsError:
+            refused += 1
+    assert refused > 50
 
 
 def test_values_of_other_types_are_told(made_up):

@@ -115,19 +115,15 @@ def _table(
     columns: dict[str, NDArray[Any]], texts: Texts, different: _Different, origin: Origin, pages: Pages
 ) -> EpisodeTable:
     terms, rewards, times = (columns.pop(name) for name in ("terms", "reward_terms", "decision_ms"))
-    names = texts.term_names(terms)
-    counts = np.array([*map(len, names)])[terms]
-    if len(rewards) != counts.sum():
-        raise ValueError("it has an episode with too few or too many reward terms")
     fields = {
         name: Column(values, texts.texts if name in TEXTS else different.values(name))
         for name, values in columns.items()
     }
     same = np.broadcast_to(np.int32(0), len(terms))
     fields |= {"env": Column(same, array("env", [origin.env])), "seed": Column(same, array("seed", [origin.seed]))}
-    lists = Ragged.of(rewards, counts, pages), Ragged.of(times, columns["length"], pages)
+    lists = Ragged.of(rewards, texts.num_terms(terms), pages), Ragged.of(times, columns["length"], pages)
     pages.release()
-    return EpisodeTable.of_columns(fields, names, terms, *lists, pages)
+    return EpisodeTable.of_columns(fields, texts.term_names, terms, *lists, pages)
 
 
 def _check_possible(columns: Mapping[str, NDArray[Any]], policies: Sequence[str]) -> None:

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.episodes.columns import Ragged
-from armctl.episodes.rows import LAYOUT, NO_FIT, NULLABLE, NUMBERS, TEXTS, UNKNOWN, Sizes, Texts, as_type
+from armctl.episodes.rows import LAYOUT, NO_FIT, NULLABLE, NUMBERS, TEXTS, UNKNOWN, WRONG_TERMS, Sizes, Texts, as_type
 
 EPISODES = 10_000
-"""Episodes in a block. Fewer are rows."""
+"""Episodes in a block. Fewer that are left are rows, and a block has fewer if some of its were removed."""
+LARGEST_BLOCK = 10_000
 BLOCK_COLUMNS = ("episodes", "decisions", *LAYOUT, "reward_terms", "decision_ms", "checksum")
 """Columns of the table, besides that of the cell."""
 _CHANGED = "a block of episodes was changed, or belongs to another comparison"
@@ -48,7 +49,7 @@ def columns_of_block(
     Without a `time_type`, decision times stay of their own type.
     """
     (episodes, decisions, *blobs, checksum), (rewards, times) = block, block[-3:-1]
-    if episodes < 1:
+    if not 1 <= episodes <= LARGEST_BLOCK:
         raise ValueError(_CHANGED)
     columns = {name: unpacked_numbers(name, blob, episodes) for name, blob in zip(LAYOUT, blobs[:-2], strict=True)}
     if _checksum(columns, blobs, texts, cell_checksum) != checksum:
@@ -57,6 +58,8 @@ def columns_of_block(
     fits = lengths.min() >= 0 and lengths.max() <= decisions == lengths.sum()
     if not fits or len(times) != decisions * own_type.itemsize:
         raise ValueError(NO_FIT)
+    if len(rewards) != 8 * texts.num_terms(columns["terms"]).sum():
+        raise ValueError(WRONG_TERMS)
     columns["reward_terms"] = np.frombuffer(rewards, "<f8")
     columns["decision_ms"] = as_type(np.frombuffer(times, own_type), time_type or own_type)
     return columns
@@ -70,8 +73,7 @@ def block_without(
     kept = np.flatnonzero(~np.isin(columns[column], removed))
     if len(kept) in (0, len(columns[column])):
         return block if len(kept) else None
-    num_terms = np.array([*map(len, texts.term_names(columns["terms"]))])
-    lengths = {"reward_terms": num_terms[columns["terms"]], "decision_ms": columns["length"]}
+    lengths = {"reward_terms": texts.num_terms(columns["terms"]), "decision_ms": columns["length"]}
     shorter = {
         name: Ragged.of(values, lengths[name]).take(kept).values if name in lengths else values[kept]
         for name, values in columns.items()
@@ -82,7 +84,7 @@ def block_without(
 def _packed(values: NDArray[Any]) -> bytes | None:
     """Numbers in as few bytes as hold all of them; None if all are unknown."""
     if values.dtype.kind == "f":
-        return None if np.isnan(values).all() else values.tobytes()
+        return None if np.isnan(values).all() else values.astype("<f8").tobytes()
     if (values == UNKNOWN).all():
         return None
     kinds = (np.dtype(f"<i{width}") for width in (1, 2, 4, 8))

@@ -111,7 +111,7 @@ def by_occurrence(codes: NDArray[np.intp], num_codes: int) -> tuple[Rows, NDArra
     if num_codes > len(codes):
         codes, num_codes = np.unique(codes, return_inverse=True)[1], len(codes)
     first = np.full(num_codes, len(codes))
-    first[codes[::-1]] = np.arange(len(codes))[::-1]  # of equal indices, the last one counts
+    np.minimum.at(first, codes, np.arange(len(codes)))
     firsts = np.sort(first[first < len(codes)])
     places = np.empty(num_codes, np.intp)
     places[codes[firsts]] = np.arange(len(firsts))

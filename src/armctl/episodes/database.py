@@ -78,6 +78,8 @@ def damage(path: Path) -> Iterator[None]:
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY:
             raise ResultsError(f"another process writes to {path.parent}: wait until it has finished") from error
         raise ResultsError(f"{path} is damaged ({reason(error)}): remove it, or overwrite all (--overwrite)") from error
+    except MemoryError as error:
+        raise ResultsError(f"{path} takes more memory than there is") from error
 
 
 def format_of(file: sqlite3.Connection) -> int:
@@ -90,11 +92,12 @@ def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     if (number := format_of(file)) not in range(1, FORMAT):
         check_format({"format": number}, FORMAT)
     tables = schema(number)
-    if dict(file.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()) != tables:
+    found = file.execute("SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL")
+    if sorted(found) != sorted(("table", name, sql) for name, sql in tables.items()):
         raise ValueError("it does not have the tables of armctl's results")
     if not whole:
         return
-    if (message := file.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+    if (message := file.execute("PRAGMA integrity_check(1)").fetchone()[0]) != "ok":
         raise ValueError(message)
     for table in tables.keys() - _TABLES.keys():
         foreign = f"SELECT count(*) FROM {table} WHERE cell NOT IN (SELECT id FROM cell)"
@@ -114,14 +117,18 @@ def reason(error: Exception) -> str:
 
 @contextlib.contextmanager
 def transaction(file: sqlite3.Connection) -> Iterator[None]:
-    """Write everything or nothing. A transaction that an interrupt has left open is undone."""
-    if file.in_transaction:
-        file.execute("ROLLBACK")
+    """Write everything or nothing."""
+    undo_open(file)
     file.execute("BEGIN IMMEDIATE")
     try:
         yield
         file.execute("COMMIT")
     except BaseException:
-        if file.in_transaction:
-            file.execute("ROLLBACK")
+        undo_open(file)
         raise
+
+
+def undo_open(file: sqlite3.Connection) -> None:
+    """Undo a transaction that is open, as an interrupt may leave it."""
+    if file.in_transaction:
+        file.execute("ROLLBACK")

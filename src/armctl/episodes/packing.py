@@ -6,11 +6,12 @@ import sqlite3
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.episodes import blocks
 from armctl.episodes.assembly import Origin
-from armctl.episodes.blocks import BLOCK_COLUMNS, block_of, block_without, unpacked_numbers
+from armctl.episodes.blocks import BLOCK_COLUMNS, unpacked_numbers
 from armctl.episodes.database import transaction
 from armctl.episodes.rows import COLUMNS, columns_of_rows
-from armctl.episodes.stored import blocks_in, row_sizes_in, rows_in
+from armctl.episodes.stored import blocks_in, sizes_from
 
 LARGEST_LISTS = 2**27
 """Bytes that a block's rewards and decision times may take: half of what the store may hold in one value."""
@@ -21,25 +22,27 @@ INSERT_ROW, INSERT_BLOCK = (
 
 
 def pack_rows(file: sqlite3.Connection, cell: int, origin: Origin) -> None:
-    """Make a block of a cell's rows. If it would be too large, or cannot be made, they stay rows."""
-    with contextlib.suppress(sqlite3.Error, ValueError, IndexError), transaction(file):
-        sizes = row_sizes_in(file, cell)
-        if 8 * (sizes.rewards + sizes.decisions) > LARGEST_LISTS:
+    """Make a block of a cell's first rows. If there are too few or too large ones, or that fails, they stay rows."""
+    first = f"FROM (SELECT rowid AS place, * FROM episode_row WHERE cell = ? ORDER BY rowid LIMIT {blocks.EPISODES})"
+    with contextlib.suppress(sqlite3.Error, ValueError, IndexError, MemoryError), transaction(file):
+        sizes = sizes_from(file, cell, first)
+        if sizes.episodes < blocks.EPISODES or 8 * sizes.rewards + sizes.width * sizes.decisions > LARGEST_LISTS:
             return
-        columns = columns_of_rows([*rows_in(file, cell)], origin.texts, origin.checksum, sizes.time_type)
-        file.execute(INSERT_BLOCK, (cell, *block_of(columns, origin.texts, origin.checksum)))
-        file.execute("DELETE FROM episode_row WHERE cell = ?", (cell,))
+        rows = file.execute(f"SELECT {', '.join(COLUMNS)} {first}", (cell,)).fetchall()
+        columns = columns_of_rows(rows, origin.texts, origin.checksum, sizes.time_type)
+        file.execute(INSERT_BLOCK, (cell, *blocks.block_of(columns, origin.texts, origin.checksum)))
+        file.execute(f"DELETE FROM episode_row WHERE rowid IN (SELECT place {first})", (cell,))
 
 
 def remove(file: sqlite3.Connection, cell: int, origin: Origin, name: str, values: ArrayLike) -> None:
     """Remove the episodes of a cell of which a column of whole numbers has one of some values."""
     removed = np.asarray(values, np.int64)
-    for value in removed.tolist():
-        file.execute(f"DELETE FROM episode_row WHERE cell = ? AND {name} = ?", (cell, value))
+    rows = [(cell, value) for value in removed.tolist()]
+    file.executemany(f"DELETE FROM episode_row WHERE cell = ? AND {name} = ?", rows)
     for (place,) in [*blocks_in(file, cell, ["rowid"])] if len(removed) else []:
         query = f"SELECT {', '.join(BLOCK_COLUMNS)} FROM episode_block WHERE rowid = ?"
         block = file.execute(query, (place,)).fetchone()
-        rest = block_without(block, name, removed, origin.texts, origin.checksum)
+        rest = blocks.block_without(block, name, removed, origin.texts, origin.checksum)
         if rest is block:
             continue
         file.execute("DELETE FROM episode_block WHERE rowid = ?", (place,))

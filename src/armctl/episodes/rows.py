@@ -37,6 +37,7 @@ NULLABLE = {*(name for name in INTEGERS if NoneType in TYPES[name]), *NUMBERS}
 """Columns that may be NULL."""
 UNKNOWN = -(2**63)
 """Number in place of None."""
+WRONG_TERMS = "it has an episode with too few or too many reward terms"
 NO_FIT = "it has decision times that do not fit the length of an episode"
 _KINDS = {2: "<u2", 4: "<i4", 8: "<f8"}
 """Types of decision times by their bytes: in ticks, or in ms where they are no whole ticks."""
@@ -57,6 +58,8 @@ class Texts:
     def __init__(self, texts: Sequence[str]) -> None:
         self.texts = np.array([*texts, ""], object)[:-1]
         self._checksums = np.array([*map(_text_checksum, texts)], np.int64)
+        self._num_terms = np.full(len(texts), -1)
+        """Names of reward terms in each text, where they are known."""
 
     def checksums(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the texts' checksums. Raises `ValueError` or `IndexError` for numbers that no text has."""
@@ -64,13 +67,16 @@ class Texts:
             raise ValueError("it refers to a text that is not there")
         return np.asarray(self._checksums[numbers])
 
-    def term_names(self, used: NDArray[np.int64]) -> list[tuple[str, ...]]:
-        """Return the names of reward terms in those texts that are used for them, and () for the others.
+    def num_terms(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return how many reward terms each of some texts (k,) names. Raises `ValueError`."""
+        for number in np.unique(numbers[self._num_terms[numbers] < 0]).tolist():
+            self._num_terms[number] = len(_names_in(self.texts[number]))
+        return np.asarray(self._num_terms[numbers])
 
-        Raises `ValueError`.
-        """
-        numbers = set(np.unique(used).tolist())
-        return [_names_in(text) if i in numbers else () for i, text in enumerate(self.texts)]
+    @property
+    def term_names(self) -> list[tuple[str, ...]]:
+        """Names of reward terms in each text; () in those for which `num_terms` was not called."""
+        return [_names_in(text) if num >= 0 else () for text, num in zip(self.texts, self._num_terms, strict=True)]
 
 
 class Sizes(NamedTuple):
@@ -80,7 +86,7 @@ class Sizes(NamedTuple):
     rewards: int = 0
     decisions: int = 0
     width: int = 0
-    """Bytes of a decision time, in the episode in which it has most."""
+    """Bytes of a decision time, in the row or block in which it has most."""
 
     def joined(self, other: "Sizes") -> "Sizes":
         """Return the sizes of two tables together."""
@@ -147,6 +153,8 @@ def columns_of_rows(
     for row, start, end in zip(rows, starts.tolist(), (starts + widths).tolist(), strict=True):
         if crc32(row[-2], crc32(row[-3], crc32(data[start:end], cell_checksum))) != row[-1]:
             raise ValueError("an episode was changed, or belongs to another comparison")
+    if (8 * texts.num_terms(columns["terms"]) != [*map(len, values["reward_terms"])]).any():
+        raise ValueError(WRONG_TERMS)
     columns["reward_terms"] = np.frombuffer(b"".join(values["reward_terms"]), "<f8")
     columns["decision_ms"] = _unpacked_times(values["decision_ms"], columns["length"], time_type)
     return columns

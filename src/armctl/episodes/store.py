@@ -31,6 +31,7 @@ from armctl.episodes.database import (
     reason,
     schema,
     transaction,
+    undo_open,
 )
 from armctl.episodes.packing import INSERT_ROW, pack_rows, remove, texts_used
 from armctl.episodes.record import EpisodeResult
@@ -44,7 +45,6 @@ from armctl.episodes.stored import (
     episodes_of,
     judged_runs,
     origin_of,
-    row_sizes_in,
     runs_of,
     texts_in,
 )
@@ -53,6 +53,7 @@ from armctl.runtime.folder import OTHERWISE, refuse_changes
 from armctl.runtime.identity import reasons_not_to_resume
 from armctl.runtime.provenance import Run
 
+_COUNT_ROWS = "SELECT count(*) FROM episode_row WHERE cell = ?"
 OTHER_RESULTS = "results of another comparison"
 
 
@@ -201,6 +202,7 @@ class CellWriter:
         self.kept = EpisodeTable()
         self.runs = store.overwritten_runs(identity)
         self._grown, self._num_rows = False, 0
+        """Rows are counted since the last time that a block was tried."""
         present = {stored: (number, text) for number, stored, text, _ in cells_in(store.file)}
         self._number = present[name][0] if name in present else max((i for i, _ in present.values()), default=-1) + 1
         if name in present:
@@ -249,6 +251,7 @@ class CellWriter:
         """All episodes: those that were kept, and those that were added."""
         if not self._grown:
             return self.kept
+        undo_open(self._store.file)
         return episodes_in(self._store.file, self._number, self._origin, self._unwritten)
 
     def finish(self, facts: Mapping[str, Any], runs: Iterable[Run], without: Iterable[str] = ()) -> list[Run]:
@@ -278,10 +281,8 @@ class CellWriter:
             refuse_changes(store.folder or Path(), reasons_not_to_resume(identity, self.identity), OTHER_RESULTS)
             self.identity = identity
             self.kept = episodes_of(store.file, self._number, identity, [*store.texts])
-            self.runs, self._num_rows = (
-                runs_of(store.file, self._number),
-                row_sizes_in(store.file, self._number).episodes,
-            )
+            self.runs = runs_of(store.file, self._number)
+            self._num_rows = store.file.execute(_COUNT_ROWS, (self._number,)).fetchone()[0]
         if (last := self.kept.column("episode").max(initial=0)) >= episodes:
             raise ResultsError(
                 f"{store.folder} already holds episode {last}, beyond the {episodes} asked for: ask for more, "

@@ -17,9 +17,9 @@ from armctl.core.errors import ResultsError
 from armctl.core.files import digest, unsealed
 from armctl.core.registration import bare_id
 from armctl.episodes.assembly import Origin, table_of
-from armctl.episodes.blocks import BLOCK_COLUMNS
+from armctl.episodes.blocks import BLOCK_COLUMNS, LARGEST_BLOCK
 from armctl.episodes.database import FIRST_WITH_BLOCKS, check_file, connected, damage, files, format_of, rows_table
-from armctl.episodes.rows import COLUMNS, SINCE_FORMAT_2, Sizes, Texts, sizes_of
+from armctl.episodes.rows import COLUMNS, LAYOUT, NULLABLE, SINCE_FORMAT_2, Sizes, Texts, sizes_of
 from armctl.episodes.table import EpisodeTable
 from armctl.runtime.provenance import Run
 
@@ -32,7 +32,7 @@ MEASURED = "measured"
 """Latency in real time: the times that decisions take."""
 POLICY_SEED = "policy_seed"
 """Key, in a cell's identity, of the secret of its policies' random numbers, in decimal digits."""
-BLOCKS_OF_CELL = "FROM episode_block WHERE cell = ?"
+_BLOCKS_OF_CELL = "FROM episode_block WHERE cell = ?"
 _RUNS = TypeAdapter(list[Run])
 
 
@@ -149,9 +149,7 @@ def texts_in(file: sqlite3.Connection) -> list[str]:
 
 def episodes_of(file: sqlite3.Connection, cell: int, identity: Mapping[str, Any], texts: Sequence[str]) -> EpisodeTable:
     """Return the episodes of a cell in a file that may come from a stranger. Raises `ValueError`."""
-    table = episodes_in(
-        file, cell, origin_of(identity, texts)._replace(policies=KEYS.validate_python(identity).policies)
-    )
+    table = episodes_in(file, cell, origin_of(identity, texts, is_strange=True))
     if any(len(np.unique(part.column("episode"))) < len(part) for part in table.by_policy().values()):
         raise ValueError("it has an episode for the second time")
     return table
@@ -176,23 +174,26 @@ def blocks_in(file: sqlite3.Connection, cell: int, columns: Sequence[str] = BLOC
     """Return the blocks of a cell's episodes, by their `columns`."""
     if format_of(file) < FIRST_WITH_BLOCKS:
         return iter(())
-    return file.execute(f"SELECT {', '.join(columns)} {BLOCKS_OF_CELL}", (cell,))
+    return file.execute(f"SELECT {', '.join(columns)} {_BLOCKS_OF_CELL}", (cell,))
 
 
 def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
     """Return the sizes of the episodes of a cell as a table."""
     if format_of(file) < FIRST_WITH_BLOCKS:
-        return row_sizes_in(file, cell)
-    of_blocks = _sizes(file, cell, BLOCKS_OF_CELL, "max(min(episodes, length(policy)), 1)", "max(decisions, 0)")
-    return row_sizes_in(file, cell).joined(of_blocks)
+        return sizes_from(file, cell, _rows_of_cell(file))
+    present = ", ".join(f"length({name})" for name in LAYOUT if name not in NULLABLE)
+    episodes = f"max(min(episodes, {LARGEST_BLOCK}, coalesce(length(total_reward), 0) / 8, {present}), 1)"
+    of_blocks = sizes_from(file, cell, _BLOCKS_OF_CELL, episodes, "max(decisions, 0)")
+    return sizes_from(file, cell, _rows_of_cell(file)).joined(of_blocks)
 
 
-def row_sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
-    """Return the sizes of those episodes of a cell that are rows."""
-    return _sizes(file, cell, _rows_of_cell(file), "1", "length")
+def sizes_from(
+    file: sqlite3.Connection, cell: int, source: str, episodes: str = "1", decisions: str = "length"
+) -> Sizes:
+    """Return the sizes of a part of a cell's episodes: of what `source` gives, the end of a query for rows or blocks.
 
-
-def _sizes(file: sqlite3.Connection, cell: int, source: str, episodes: str, decisions: str) -> Sizes:
+    Either has so many `episodes` and `decisions`, by SQL, and no more than fit its other columns.
+    """
     query = (
         f"SELECT coalesce(sum({episodes}), 0), coalesce(sum(length(reward_terms)) / 8, 0), "
         f"coalesce(sum(min({decisions}, length(decision_ms) / 2)), 0), "
@@ -207,10 +208,11 @@ def _rows_of_cell(file: sqlite3.Connection) -> str:
     return f"FROM {rows_table(format_of(file))} {'NOT INDEXED' if is_single else ''} WHERE cell = ?"
 
 
-def origin_of(identity: Mapping[str, Any], texts: Sequence[str]) -> Origin:
-    """Return what the episodes of a cell have in common."""
+def origin_of(identity: Mapping[str, Any], texts: Sequence[str], is_strange: bool = False) -> Origin:
+    """Return the properties that all episodes of a cell share. Those of a strange file must be possible ones."""
     keys = KEYS.validate_python(identity)
-    return Origin(Texts(texts), checksum_of(identity), bare_id(keys.env), keys.seed)
+    policies = keys.policies if is_strange else None
+    return Origin(Texts(texts), checksum_of(identity), bare_id(keys.env), keys.seed, policies)
 
 
 def checksum_of(identity: Mapping[str, Any]) -> int:

@@ -193,9 +193,12 @@ class EpisodeTable(Sequence[EpisodeResult]):
 
     def first_decision_ms(self) -> Array:
         """Return the time of the reset with the first decision, of each episode that `is_warm`."""
-        warm = self.is_warm
-        first = milliseconds(self._times.values[self._times.ends[self._rows[warm]]])
-        return np.asarray(np.nan_to_num(self.column("reset_ms")[warm], nan=0.0) + first)
+        times = []
+        for part in self.parts():
+            warm = part.is_warm
+            first = milliseconds(part._times.values[part._times.ends[part._rows[warm]]])
+            times.append(np.nan_to_num(part.column("reset_ms")[warm], nan=0.0) + first)
+        return np.asarray(np.concatenate([np.empty(0), *times]))
 
     def decision_seconds(self) -> Array:
         """(len(self),) the time of the reset and of all decisions of each episode."""

@@ -177,6 +177,8 @@ def read_recording(path: Path, slow_down: float, env: str, seed: int) -> RealTim
         )
     cells = read_store(folder).cells
     undisturbed = [cell for name, cell in cells.items() if name.rpartition("/")[2] == UNDISTURBED]
+    if not undisturbed:
+        raise ConfigurationError(f"{folder} holds no undisturbed episodes, whose decision times could be repeated")
     stored = next((cell for cell in undisturbed if cell.identity.get("env") == env), undisturbed[0])
     for name, value in {"env": env, "seed": seed}.items():
         if (recorded := stored.identity.get(name)) != value:

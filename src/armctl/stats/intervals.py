@@ -175,9 +175,7 @@ def bounded_sum(
     own. They take no variances to be equal, and no mean to be normal.
     """
     rng = np.random.default_rng(0)
-    parts = [
-        _random_weights(values, bounds, lambda ordered, weights: np.vecdot(weights, ordered), rng) for values in samples
-    ]
+    parts = [_random_weights(values, bounds, _weighted_means, rng) for values in samples]
     weighted, value = weighted_sum(parts, coefficients), 0.0
     for values, coefficient in zip(samples, coefficients, strict=True):
         value += coefficient * float(values.mean())
