@@ -48,10 +48,12 @@ def main(
         axis.remove()
     for axis, env in zip(axes.flat, tasks, strict=False):
         _plot(axis, [(card, curve) for card, curve in agents if card.env == env])
-        for value in sorted({value for (where, _), value in success.items() if where == env}):
+        values = sorted({value for (where, _), value in success.items() if where == env})
+        for value, higher in zip(values, [*values[1:], math.inf], strict=True):
             names = ", ".join(name for (where, name), same in success.items() if (where, same) == (env, value))
             axis.axhline(value, color="black", linewidth=0.8, linestyle=":")
-            axis.annotate(names, (0.01, value), xycoords=("axes fraction", "data"), fontsize=7, va="bottom")
+            side = "top" if higher - value < 0.05 else "bottom"
+            axis.annotate(names, (0.01, value), xycoords=("axes fraction", "data"), fontsize=7, va=side)
         axis.set(title=env.removeprefix("armctl/"), xscale="log", xlabel="minutes of processor", ylim=(0, 1.08))
         axis.xaxis.set_major_formatter("{x:g}")
         axis.xaxis.set_minor_formatter("")
