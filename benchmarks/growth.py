@@ -34,9 +34,9 @@ REACH, BRIDGE = "armctl/ArmReach-v0", "armctl/BridgeCross-v0"
 
 WORLDS = (64, 256, 1024, 4096)
 ROUNDS = 3
-PLAYED = "import armctl; done = armctl.compare(env=env, episodes=int(episodes), out=folder)"
+PLAY = "import armctl; done = armctl.compare(env=env, episodes=int(episodes), out=folder)"
 JOBS = {
-    "summary": f"{PLAYED}; assert done.resumed == len(done.results), done.failures",
+    "summary": f"{PLAY}; assert done.resumed == len(done.results), done.failures",
     "read": "from armctl.episodes.stored import read_store; read_store(Path(folder))",
     "report": "from armctl.report import write_report; write_report(folder, video=False, env=env)",
 }
@@ -74,7 +74,7 @@ def table(rows: int = 1_000_000, env: ENVS = [REACH, BRIDGE]) -> None:  # noqa: 
         with tempfile.TemporaryDirectory() as home:
             few, many = Path(home, "few"), Path(home, "many")
             for folder in (few, many):
-                _cost(PLAYED, name, folder, 1)
+                _cost(PLAY, name, folder, 1)
             started, filled = (_in_a_fresh_process("fill", *of) for of in ((few, 30), (many, rows)))
             counts = f"{filled['episodes']:,}", f"{filled['decisions'] / 1e6:.0f} M"
             for job, code in JOBS.items():

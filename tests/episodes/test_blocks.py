@@ -160,9 +160,9 @@ def test_forged_numbers_of_rewards_are_told(made_up, monkeypatch):
         store.open(OWN["seed"], ["none"])
         origin, rows = origin_of(OWN, [*store.texts]), [*blocks_in(store.file, 0, ("rowid", *blocks.BLOCK_COLUMNS))]
         for change, (place, *block) in zip((-1, 1), rows, strict=False):
-            columns = blocks.columns_of_block(block, origin.texts, origin.checksum)
+            columns = blocks.columns_of_block(block, origin)
             columns["reward_terms"] = np.resize(columns["reward_terms"], len(columns["reward_terms"]) + change)
-            forged = blocks.block_of(columns, origin.texts, origin.checksum)
+            forged = blocks.block_of(columns, origin)
             names = ", ".join(blocks.BLOCK_COLUMNS)
             store.file.execute("DELETE FROM episode_block WHERE rowid = ?", (place,))
             store.file.execute(

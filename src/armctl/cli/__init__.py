@@ -73,7 +73,7 @@ def _watch_threads(earlier: Set[threading.Thread]) -> None:
         handler = signal.getsignal(signal.SIGINT)
 
         def end(number: int, frame: FrameType | None) -> None:
-            if not threading.main_thread().is_alive():  # Python waits for the threads at its end
+            if not threading.main_thread().is_alive():
                 os._exit(INTERRUPTED)
             if callable(handler):
                 handler(number, frame)
@@ -84,6 +84,7 @@ def _watch_threads(earlier: Set[threading.Thread]) -> None:
 
 def _name_threads(waiting: Sequence[threading.Thread]) -> None:
     time.sleep(PATIENCE)
-    if running := [thread for thread in waiting if thread.is_alive()]:
+    running = [thread for thread in waiting if thread.is_alive()]
+    if running and not threading.main_thread().is_alive():  # Python waits for them at its end
         of = f"threads of an environment or a policy run on, such as {running[0].name!r}"
         print(f"armctl has finished; {of}: Ctrl-C ends them", file=sys.stderr, flush=True)

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import NoneType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,25 +12,13 @@ from armctl.envs import ERROR
 from armctl.episodes.blocks import columns_of_block
 from armctl.episodes.columns import Column, Pages, Ragged, is_unknown
 from armctl.episodes.record import LARGEST_RETURN
-from armctl.episodes.rows import INTEGERS, LAYOUT, NUMBERS, TEXTS, UNKNOWN, Sizes, Texts, columns_of_rows
+from armctl.episodes.rows import INTEGERS, LAYOUT, NUMBERS, TEXTS, UNKNOWN, Origin, Sizes, columns_of_rows
 from armctl.episodes.table import FEW, TYPES, EpisodeTable, array
 
 ROWS_AT_ONCE = 1_000
 """Rows that are read together: values of more do not stay in the processor's cache."""
 BYTES_IN_MEMORY = 2**24
 """Bytes after which what was read of a large table leaves the memory."""
-
-
-class Origin(NamedTuple):
-    """The properties that all episodes of a cell share."""
-
-    texts: Texts
-    checksum: int
-    """Checksum of the cell's identity."""
-    env: str
-    seed: int
-    policies: Sequence[str] | None = None
-    """Policies that the episodes must be of, and possible in all other respects; None if armctl wrote them itself."""
 
 
 def table_of(
@@ -43,16 +31,16 @@ def table_of(
     """
     if not sizes.episodes:
         return EpisodeTable()
-    texts, time_type = origin.texts, sizes.time_type
+    time_type = sizes.time_type
     types = {name: (_type_of(name), sizes.episodes) for name in LAYOUT}
     types |= {"reward_terms": (np.dtype(float), sizes.rewards), "decision_ms": (time_type, sizes.decisions)}
     ends_of_lists = 2 * 8 * (sizes.episodes + 1)
     pages = Pages(sum(8 + kind.itemsize * size for kind, size in types.values()) + ends_of_lists)
     columns = {name: pages.array(size, kind) for name, (kind, size) in types.items()}
     ends, different, read = dict.fromkeys(columns, 0), _Different(), 0
-    for part in _parts(rows, blocks, texts, origin.checksum, time_type):
+    for part in _parts(rows, blocks, origin, time_type):
         if origin.policies is not None:
-            named = {name: texts.texts[part[name]] for name in ("policy", "outcome")}
+            named = {name: origin.texts.texts[part[name]] for name in ("policy", "outcome")}
             _check_possible(part | named, origin.policies)
         for name, values in different.places(part).items():
             columns[name][ends[name] : (end := ends[name] + len(values))] = values
@@ -62,21 +50,17 @@ def table_of(
             pages.release()
             read = 0
     columns = {name: values[: ends[name]] for name, values in columns.items()}
-    return _table(columns, texts, different, origin, pages)
+    return _table(columns, different, origin, pages)
 
 
 def _parts(
-    rows: Iterable[Sequence[Any]],
-    blocks: Iterable[Sequence[Any]],
-    texts: Texts,
-    checksum: int,
-    time_type: "np.dtype[Any]",
+    rows: Iterable[Sequence[Any]], blocks: Iterable[Sequence[Any]], origin: Origin, time_type: "np.dtype[Any]"
 ) -> Iterator[dict[str, NDArray[Any]]]:
     for block in blocks:
-        yield columns_of_block(block, texts, checksum, time_type)
+        yield columns_of_block(block, origin, time_type)
     remaining = iter(rows)
     while batch := list(itertools.islice(remaining, ROWS_AT_ONCE)):
-        yield columns_of_rows(batch, texts, checksum, time_type)
+        yield columns_of_rows(batch, origin, time_type)
 
 
 def _type_of(name: str) -> "np.dtype[Any]":
@@ -111,9 +95,8 @@ class _Different:
         return np.array([places.setdefault(value, len(places)) for value in uniques])[codes]
 
 
-def _table(
-    columns: dict[str, NDArray[Any]], texts: Texts, different: _Different, origin: Origin, pages: Pages
-) -> EpisodeTable:
+def _table(columns: dict[str, NDArray[Any]], different: _Different, origin: Origin, pages: Pages) -> EpisodeTable:
+    texts = origin.texts
     terms, rewards, times = (columns.pop(name) for name in ("terms", "reward_terms", "decision_ms"))
     fields = {
         name: Column(values, texts.texts if name in TEXTS else different.values(name))

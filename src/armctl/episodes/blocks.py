@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.episodes.columns import Ragged
-from armctl.episodes.rows import LAYOUT, NO_FIT, NULLABLE, NUMBERS, TEXTS, UNKNOWN, WRONG_TERMS, Sizes, Texts, as_type
+from armctl.episodes.rows import LAYOUT, NO_FIT, NULLABLE, NUMBERS, TEXTS, UNKNOWN, WRONG_TERMS, Origin, Sizes, as_type
 
 EPISODES = 10_000
-"""Episodes in a block. Fewer that are left are rows, and a block has fewer if some of its were removed."""
-LARGEST_BLOCK = 10_000
+"""Episodes in a block; fewer if some of them were removed. Blocks with more are refused."""
 BLOCK_COLUMNS = ("episodes", "decisions", *LAYOUT, "reward_terms", "decision_ms", "checksum")
 """Columns of the table, besides that of the cell."""
 _CHANGED = "a block of episodes was changed, or belongs to another comparison"
@@ -32,33 +31,33 @@ def block_definition() -> str:
     )
 
 
-def block_of(columns: Mapping[str, NDArray[Any]], texts: Texts, cell_checksum: int) -> tuple[Any, ...]:
+def block_of(columns: Mapping[str, NDArray[Any]], origin: Origin) -> tuple[Any, ...]:
     """Return the block of some columns (see `columns_of_rows`)."""
     numbers = [_packed(columns[name]) for name in LAYOUT]
     counts = len(columns["episode"]), len(columns["decision_ms"])
     lists = [columns[name].tobytes() for name in ("reward_terms", "decision_ms")]
     blobs = [*numbers, *lists]
-    return (*counts, *blobs, _checksum(columns, blobs, texts, cell_checksum))
+    return (*counts, *blobs, _checksum(columns, blobs, origin))
 
 
 def columns_of_block(
-    block: Sequence[Any], texts: Texts, cell_checksum: int, time_type: "np.dtype[Any] | None" = None
+    block: Sequence[Any], origin: Origin, time_type: "np.dtype[Any] | None" = None
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of a block, as `columns_of_rows` does, and raise what it does.
 
     Without a `time_type`, decision times stay of their own type.
     """
     (episodes, decisions, *blobs, checksum), (rewards, times) = block, block[-3:-1]
-    if not 1 <= episodes <= LARGEST_BLOCK:
+    if not 1 <= episodes <= EPISODES:
         raise ValueError(_CHANGED)
     columns = {name: unpacked_numbers(name, blob, episodes) for name, blob in zip(LAYOUT, blobs[:-2], strict=True)}
-    if _checksum(columns, blobs, texts, cell_checksum) != checksum:
+    if _checksum(columns, blobs, origin) != checksum:
         raise ValueError(_CHANGED)
     lengths, own_type = columns["length"], Sizes(width=len(times) // max(decisions, 1)).time_type
     fits = lengths.min() >= 0 and lengths.max() <= decisions == lengths.sum()
     if not fits or len(times) != decisions * own_type.itemsize:
         raise ValueError(NO_FIT)
-    if len(rewards) != 8 * texts.num_terms(columns["terms"]).sum():
+    if len(rewards) != 8 * origin.texts.num_terms(columns["terms"]).sum():
         raise ValueError(WRONG_TERMS)
     columns["reward_terms"] = np.frombuffer(rewards, "<f8")
     columns["decision_ms"] = as_type(np.frombuffer(times, own_type), time_type or own_type)
@@ -66,19 +65,19 @@ def columns_of_block(
 
 
 def block_without(
-    block: Sequence[Any], column: str, removed: NDArray[np.int64], texts: Texts, cell_checksum: int
+    block: Sequence[Any], column: str, removed: NDArray[np.int64], origin: Origin
 ) -> Sequence[Any] | None:
     """Return a block without the episodes of which a column has one of some values; None if it has no others."""
-    columns = columns_of_block(block, texts, cell_checksum)
+    columns = columns_of_block(block, origin)
     kept = np.flatnonzero(~np.isin(columns[column], removed))
     if len(kept) in (0, len(columns[column])):
         return block if len(kept) else None
-    lengths = {"reward_terms": texts.num_terms(columns["terms"]), "decision_ms": columns["length"]}
+    lengths = {"reward_terms": origin.texts.num_terms(columns["terms"]), "decision_ms": columns["length"]}
     shorter = {
         name: Ragged.of(values, lengths[name]).take(kept).values if name in lengths else values[kept]
         for name, values in columns.items()
     }
-    return block_of(shorter, texts, cell_checksum)
+    return block_of(shorter, origin)
 
 
 def _packed(values: NDArray[Any]) -> bytes | None:
@@ -103,14 +102,11 @@ def unpacked_numbers(name: str, packed: bytes | None, count: int) -> NDArray[Any
     return np.frombuffer(packed, f"<{kind}{width}").astype(f"<{kind}8")
 
 
-def _checksum(
-    columns: Mapping[str, NDArray[Any]], blobs: Sequence[bytes | None], texts: Texts, cell_checksum: int
-) -> int:
+def _checksum(columns: Mapping[str, NDArray[Any]], blobs: Sequence[bytes | None], origin: Origin) -> int:
     """Checksum of a block's texts, and of its blobs and their sizes."""
-    for name in TEXTS:
-        cell_checksum = crc32(texts.checksums(columns[name]).tobytes(), cell_checksum)
-    sizes = [-1 if blob is None else len(blob) for blob in blobs]
-    cell_checksum = crc32(struct.pack(f"<{len(sizes)}q", *sizes), cell_checksum)
-    for blob in blobs:
-        cell_checksum = crc32(blob or b"", cell_checksum)
-    return cell_checksum
+    texts = [origin.texts.checksums(columns[name]).tobytes() for name in TEXTS]
+    sizes = struct.pack(f"<{len(blobs)}q", *(-1 if blob is None else len(blob) for blob in blobs))
+    checksum = origin.checksum
+    for part in (*texts, sizes, *blobs):
+        checksum = crc32(part or b"", checksum)
+    return checksum

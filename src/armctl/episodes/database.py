@@ -92,8 +92,8 @@ def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     if (number := format_of(file)) not in range(1, FORMAT):
         check_format({"format": number}, FORMAT)
     tables = schema(number)
-    found = file.execute("SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL")
-    if sorted(found) != sorted(("table", name, sql) for name, sql in tables.items()):
+    stored = file.execute("SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL")
+    if sorted(stored) != sorted(("table", name, sql) for name, sql in tables.items()):
         raise ValueError("it does not have the tables of armctl's results")
     if not whole:
         return

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.episodes import blocks
-from armctl.episodes.assembly import Origin
 from armctl.episodes.blocks import BLOCK_COLUMNS, unpacked_numbers
 from armctl.episodes.database import transaction
-from armctl.episodes.rows import COLUMNS, columns_of_rows
+from armctl.episodes.rows import COLUMNS, Origin, columns_of_rows
 from armctl.episodes.stored import blocks_in, sizes_from
 
 LARGEST_LISTS = 2**27
@@ -29,8 +28,8 @@ def pack_rows(file: sqlite3.Connection, cell: int, origin: Origin) -> None:
         if sizes.episodes < blocks.EPISODES or 8 * sizes.rewards + sizes.width * sizes.decisions > LARGEST_LISTS:
             return
         rows = file.execute(f"SELECT {', '.join(COLUMNS)} {first}", (cell,)).fetchall()
-        columns = columns_of_rows(rows, origin.texts, origin.checksum, sizes.time_type)
-        file.execute(INSERT_BLOCK, (cell, *blocks.block_of(columns, origin.texts, origin.checksum)))
+        columns = columns_of_rows(rows, origin, sizes.time_type)
+        file.execute(INSERT_BLOCK, (cell, *blocks.block_of(columns, origin)))
         file.execute(f"DELETE FROM episode_row WHERE rowid IN (SELECT place {first})", (cell,))
 
 
@@ -42,7 +41,7 @@ def remove(file: sqlite3.Connection, cell: int, origin: Origin, name: str, value
     for (place,) in [*blocks_in(file, cell, ["rowid"])] if len(removed) else []:
         query = f"SELECT {', '.join(BLOCK_COLUMNS)} FROM episode_block WHERE rowid = ?"
         block = file.execute(query, (place,)).fetchone()
-        rest = blocks.block_without(block, name, removed, origin.texts, origin.checksum)
+        rest = blocks.block_without(block, name, removed, origin)
         if rest is block:
             continue
         file.execute("DELETE FROM episode_block WHERE rowid = ?", (place,))

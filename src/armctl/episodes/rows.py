@@ -79,6 +79,18 @@ class Texts:
         return [_names_in(text) if num >= 0 else () for text, num in zip(self.texts, self._num_terms, strict=True)]
 
 
+class Origin(NamedTuple):
+    """The properties that all episodes of a cell share."""
+
+    texts: Texts
+    checksum: int
+    """Checksum of the cell's identity."""
+    env: str
+    seed: int
+    policies: Sequence[str] | None = None
+    """Policies that the episodes must be of, and possible in all other respects; None if armctl wrote them itself."""
+
+
 class Sizes(NamedTuple):
     """Sizes of a table, which say how much memory it takes."""
 
@@ -132,7 +144,7 @@ def row_of(result: EpisodeResult, texts: dict[str, int], cell_checksum: int) -> 
 
 
 def columns_of_rows(
-    rows: Sequence[Sequence[Any]], texts: Texts, cell_checksum: int, time_type: "np.dtype[Any]"
+    rows: Sequence[Sequence[Any]], origin: Origin, time_type: "np.dtype[Any]"
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of some rows, the ragged ones one list after the other.
 
@@ -146,14 +158,14 @@ def columns_of_rows(
         for name in LAYOUT
     }
     numbers = np.stack([column.view(np.int64) for column in columns.values()], axis=1)
-    numbers[:, : len(TEXTS)] = texts.checksums(numbers[:, : len(TEXTS)])
+    numbers[:, : len(TEXTS)] = origin.texts.checksums(numbers[:, : len(TEXTS)])
     is_short = np.isnan([columns[name] for name in SINCE_FORMAT_2]).all(axis=0)
     widths = np.where(is_short, _PACKED.size, _PACKED.size + _PACKED_SINCE.size)
     data, starts = numbers.data.cast("B"), np.arange(len(rows)) * 8 * len(LAYOUT)
     for row, start, end in zip(rows, starts.tolist(), (starts + widths).tolist(), strict=True):
-        if crc32(row[-2], crc32(row[-3], crc32(data[start:end], cell_checksum))) != row[-1]:
+        if crc32(row[-2], crc32(row[-3], crc32(data[start:end], origin.checksum))) != row[-1]:
             raise ValueError("an episode was changed, or belongs to another comparison")
-    if (8 * texts.num_terms(columns["terms"]) != [*map(len, values["reward_terms"])]).any():
+    if (8 * origin.texts.num_terms(columns["terms"]) != [*map(len, values["reward_terms"])]).any():
         raise ValueError(WRONG_TERMS)
     columns["reward_terms"] = np.frombuffer(b"".join(values["reward_terms"]), "<f8")
     columns["decision_ms"] = _unpacked_times(values["decision_ms"], columns["length"], time_type)

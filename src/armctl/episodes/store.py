@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from armctl.core.errors import ResultsError
 from armctl.core.files import one_writer, sealed, unsealed, write_atomically
 from armctl.episodes import blocks
-from armctl.episodes.assembly import Origin
 from armctl.episodes.database import (
     APPLICATION,
     FORMAT,
@@ -35,7 +34,7 @@ from armctl.episodes.database import (
 )
 from armctl.episodes.packing import INSERT_ROW, pack_rows, remove, texts_used
 from armctl.episodes.record import EpisodeResult
-from armctl.episodes.rows import row_of
+from armctl.episodes.rows import Origin, row_of
 from armctl.episodes.stored import (
     KEYS,
     STORE,

@@ -16,10 +16,11 @@ from pydantic import TypeAdapter
 from armctl.core.errors import ResultsError
 from armctl.core.files import digest, unsealed
 from armctl.core.registration import bare_id
-from armctl.episodes.assembly import Origin, table_of
-from armctl.episodes.blocks import BLOCK_COLUMNS, LARGEST_BLOCK
+from armctl.episodes import blocks
+from armctl.episodes.assembly import table_of
+from armctl.episodes.blocks import BLOCK_COLUMNS
 from armctl.episodes.database import FIRST_WITH_BLOCKS, check_file, connected, damage, files, format_of, rows_table
-from armctl.episodes.rows import COLUMNS, LAYOUT, NULLABLE, SINCE_FORMAT_2, Sizes, Texts, sizes_of
+from armctl.episodes.rows import COLUMNS, LAYOUT, NULLABLE, SINCE_FORMAT_2, Origin, Sizes, Texts, sizes_of
 from armctl.episodes.table import EpisodeTable
 from armctl.runtime.provenance import Run
 
@@ -182,7 +183,7 @@ def sizes_in(file: sqlite3.Connection, cell: int) -> Sizes:
     if format_of(file) < FIRST_WITH_BLOCKS:
         return sizes_from(file, cell, _rows_of_cell(file))
     present = ", ".join(f"length({name})" for name in LAYOUT if name not in NULLABLE)
-    episodes = f"max(min(episodes, {LARGEST_BLOCK}, coalesce(length(total_reward), 0) / 8, {present}), 1)"
+    episodes = f"max(min(episodes, {blocks.EPISODES}, coalesce(length(total_reward), 0) / 8, {present}), 1)"
     of_blocks = sizes_from(file, cell, _BLOCKS_OF_CELL, episodes, "max(decisions, 0)")
     return sizes_from(file, cell, _rows_of_cell(file)).joined(of_blocks)
 
