@@ -150,6 +150,16 @@ def test_performance_ratios_of_dolan_and_more():
     assert np.isinf(performance_ratios({"a": np.array([np.inf]), "b": np.array([np.inf])})["a"]).all()
 
 
+@pytest.mark.parametrize(
+    ("draw", "loss"), [("standard_exponential", 1e-5), ("standard_normal", 1e-5), ("standard_cauchy", 5e-4)]
+)
+def test_groups_of_many_values_make_an_interval_hardly_narrower(draw, loss):
+    values = np.sort(getattr(np.random.default_rng(0), draw)(100_000))
+    means, sizes = grouped(values, np.ones(len(values), int))
+    deviation = np.sqrt(sizes @ (means - values.mean()) ** 2 / len(values))
+    assert 1 - loss < deviation / values.std() <= 1 + 1e-12
+
+
 def test_groups_of_many_values_keep_mean_and_counts_and_span_little_of_the_range():
     rng = np.random.default_rng(0)
     values, counts = np.sort(rng.exponential(size=30_000)), rng.integers(1, 4, 30_000)

@@ -84,7 +84,7 @@ def _watch_threads(earlier: Set[threading.Thread]) -> None:
 
 def _name_threads(waiting: Sequence[threading.Thread]) -> None:
     time.sleep(PATIENCE)
-    running = [thread for thread in waiting if thread.is_alive()]
-    if running and not threading.main_thread().is_alive():  # Python waits for them at its end
-        of = f"threads of an environment or a policy run on, such as {running[0].name!r}"
+    threads = [thread for thread in waiting if thread.is_alive()]
+    if threads and not threading.main_thread().is_alive():  # Python waits for them at its end
+        of = f"threads of an environment or a policy run on, such as {threads[0].name!r}"
         print(f"armctl has finished; {of}: Ctrl-C ends them", file=sys.stderr, flush=True)

@@ -37,18 +37,18 @@ def table_of(
     ends_of_lists = 2 * 8 * (sizes.episodes + 1)
     pages = Pages(sum(8 + kind.itemsize * size for kind, size in types.values()) + ends_of_lists)
     columns = {name: pages.array(size, kind) for name, (kind, size) in types.items()}
-    ends, different, read = dict.fromkeys(columns, 0), _Different(), 0
+    ends, different, num_bytes = dict.fromkeys(columns, 0), _Different(), 0
     for part in _parts(rows, blocks, origin, time_type):
         if origin.policies is not None:
-            named = {name: origin.texts.texts[part[name]] for name in ("policy", "outcome")}
-            _check_possible(part | named, origin.policies)
+            texts = {name: origin.texts.texts[part[name]] for name in ("policy", "outcome")}
+            _check_possible(part | texts, origin.policies)
         for name, values in different.places(part).items():
             columns[name][ends[name] : (end := ends[name] + len(values))] = values
             ends[name] = end
-            read += values.nbytes
-        if read > BYTES_IN_MEMORY:
+            num_bytes += values.nbytes
+        if num_bytes > BYTES_IN_MEMORY:
             pages.release()
-            read = 0
+            num_bytes = 0
     columns = {name: values[: ends[name]] for name, values in columns.items()}
     return _table(columns, different, origin, pages)
 

@@ -1,6 +1,6 @@
 """Many episodes of a cell as one row of the store's table `episode_block`: an array for each column.
 
-A block is read some ten times as fast as its episodes one by one. Its checksum is of its values, its texts and the
+A block is read some eight times as fast as its episodes one by one. Its checksum is of its values, its texts and the
 identity of its cell.
 """
 
@@ -54,8 +54,8 @@ def columns_of_block(
     if _checksum(columns, blobs, origin) != checksum:
         raise ValueError(_CHANGED)
     lengths, own_type = columns["length"], Sizes(width=len(times) // max(decisions, 1)).time_type
-    fits = lengths.min() >= 0 and lengths.max() <= decisions == lengths.sum()
-    if not fits or len(times) != decisions * own_type.itemsize:
+    is_possible = lengths.min() >= 0 and lengths.max() <= decisions == lengths.sum()
+    if not is_possible or len(times) != decisions * own_type.itemsize:
         raise ValueError(NO_FIT)
     if len(rewards) != 8 * origin.texts.num_terms(columns["terms"]).sum():
         raise ValueError(WRONG_TERMS)
@@ -64,20 +64,18 @@ def columns_of_block(
     return columns
 
 
-def block_without(
-    block: Sequence[Any], column: str, removed: NDArray[np.int64], origin: Origin
-) -> Sequence[Any] | None:
+def block_without(block: Sequence[Any], column: str, values: NDArray[np.int64], origin: Origin) -> Sequence[Any] | None:
     """Return a block without the episodes of which a column has one of some values; None if it has no others."""
     columns = columns_of_block(block, origin)
-    kept = np.flatnonzero(~np.isin(columns[column], removed))
-    if len(kept) in (0, len(columns[column])):
-        return block if len(kept) else None
+    rows = np.flatnonzero(~np.isin(columns[column], values))
+    if len(rows) in (0, len(columns[column])):
+        return block if len(rows) else None
     lengths = {"reward_terms": origin.texts.num_terms(columns["terms"]), "decision_ms": columns["length"]}
-    shorter = {
-        name: Ragged.of(values, lengths[name]).take(kept).values if name in lengths else values[kept]
-        for name, values in columns.items()
+    rest = {
+        name: Ragged.of(numbers, lengths[name]).take(rows).values if name in lengths else numbers[rows]
+        for name, numbers in columns.items()
     }
-    return block_of(shorter, origin)
+    return block_of(rest, origin)
 
 
 def _packed(values: NDArray[Any]) -> bytes | None:

@@ -14,7 +14,7 @@ from armctl.episodes.rows import NUMBERS, NUMBERS_OF_FORMAT_1, definition
 from armctl.runtime.folder import OTHERWISE
 
 LARGEST_FILE, LARGEST_VALUE = 4 * 2**30, 2**28
-"""Bytes of a store, and of a text or the decision times of an episode in it."""
+"""Bytes of a store, and of a text, the decision times of an episode or a block in it."""
 FORMAT = 3
 """Number of the layout, in the file's header. Files of formats 1, without measures of jerk, and 2 are read."""
 FIRST_WITH_BLOCKS = 3
@@ -92,8 +92,8 @@ def check_file(file: sqlite3.Connection, whole: bool = True) -> None:
     if (number := format_of(file)) not in range(1, FORMAT):
         check_format({"format": number}, FORMAT)
     tables = schema(number)
-    stored = file.execute("SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL")
-    if sorted(stored) != sorted(("table", name, sql) for name, sql in tables.items()):
+    entries = file.execute("SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL")
+    if sorted(entries) != sorted(("table", name, sql) for name, sql in tables.items()):
         raise ValueError("it does not have the tables of armctl's results")
     if not whole:
         return

@@ -22,26 +22,26 @@ INSERT_ROW, INSERT_BLOCK = (
 
 def pack_rows(file: sqlite3.Connection, cell: int, origin: Origin) -> None:
     """Make a block of a cell's first rows. If there are too few or too large ones, or that fails, they stay rows."""
-    first = f"FROM (SELECT rowid AS place, * FROM episode_row WHERE cell = ? ORDER BY rowid LIMIT {blocks.EPISODES})"
+    source = f"FROM (SELECT rowid AS place, * FROM episode_row WHERE cell = ? ORDER BY rowid LIMIT {blocks.EPISODES})"
     with contextlib.suppress(sqlite3.Error, ValueError, IndexError, MemoryError), transaction(file):
-        sizes = sizes_from(file, cell, first)
+        sizes = sizes_from(file, cell, source)
         if sizes.episodes < blocks.EPISODES or 8 * sizes.rewards + sizes.width * sizes.decisions > LARGEST_LISTS:
             return
-        rows = file.execute(f"SELECT {', '.join(COLUMNS)} {first}", (cell,)).fetchall()
+        rows = file.execute(f"SELECT {', '.join(COLUMNS)} {source}", (cell,)).fetchall()
         columns = columns_of_rows(rows, origin, sizes.time_type)
         file.execute(INSERT_BLOCK, (cell, *blocks.block_of(columns, origin)))
-        file.execute(f"DELETE FROM episode_row WHERE rowid IN (SELECT place {first})", (cell,))
+        file.execute(f"DELETE FROM episode_row WHERE rowid IN (SELECT place {source})", (cell,))
 
 
 def remove(file: sqlite3.Connection, cell: int, origin: Origin, name: str, values: ArrayLike) -> None:
     """Remove the episodes of a cell of which a column of whole numbers has one of some values."""
-    removed = np.asarray(values, np.int64)
-    rows = [(cell, value) for value in removed.tolist()]
+    numbers = np.asarray(values, np.int64)
+    rows = [(cell, number) for number in numbers.tolist()]
     file.executemany(f"DELETE FROM episode_row WHERE cell = ? AND {name} = ?", rows)
-    for (place,) in [*blocks_in(file, cell, ["rowid"])] if len(removed) else []:
+    for (place,) in [*blocks_in(file, cell, ["rowid"])] if rows else []:
         query = f"SELECT {', '.join(BLOCK_COLUMNS)} FROM episode_block WHERE rowid = ?"
         block = file.execute(query, (place,)).fetchone()
-        rest = blocks.block_without(block, name, removed, origin)
+        rest = blocks.block_without(block, name, numbers, origin)
         if rest is block:
             continue
         file.execute("DELETE FROM episode_block WHERE rowid = ?", (place,))
@@ -49,9 +49,9 @@ def remove(file: sqlite3.Connection, cell: int, origin: Origin, name: str, value
             file.execute(INSERT_BLOCK, (cell, *rest))
 
 
-def texts_used(file: sqlite3.Connection, cell: int, name: str) -> set[int]:
-    """Return the numbers of the texts that a column of a cell's episodes refers to."""
-    used = {number for (number,) in file.execute(f"SELECT DISTINCT {name} FROM episode_row WHERE cell = ?", (cell,))}
-    for episodes, packed in blocks_in(file, cell, ["episodes", name]):
-        used.update(np.unique(unpacked_numbers(name, packed, episodes)).tolist())
-    return used
+def runs_with_episodes(file: sqlite3.Connection, cell: int) -> set[int]:
+    """Return the runs of a cell's episodes, as numbers of texts."""
+    runs = {number for (number,) in file.execute("SELECT DISTINCT run FROM episode_row WHERE cell = ?", (cell,))}
+    for episodes, numbers in blocks_in(file, cell, ["episodes", "run"]):
+        runs.update(np.unique(unpacked_numbers("run", numbers, episodes)).tolist())
+    return runs

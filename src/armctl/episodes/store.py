@@ -32,7 +32,7 @@ from armctl.episodes.database import (
     transaction,
     undo_open,
 )
-from armctl.episodes.packing import INSERT_ROW, pack_rows, remove, texts_used
+from armctl.episodes.packing import INSERT_ROW, pack_rows, remove, runs_with_episodes
 from armctl.episodes.record import EpisodeResult
 from armctl.episodes.rows import Origin, row_of
 from armctl.episodes.stored import (
@@ -294,12 +294,12 @@ class CellWriter:
         Overwritten ones stay.
         """
         texts = [*self._store.texts]
-        runs_with_episodes = {texts[i] for i in texts_used(self._store.file, self._number, "run")}
+        ids = {texts[i] for i in runs_with_episodes(self._store.file, self._number)}
         counted: list[Run] = []
         for run in runs:
             verdicts = {(other.baseline, other.margin) for other in counted if other.judged}
             is_new_verdict = run.judged and (run.baseline, run.margin) not in verdicts
-            if run.overwritten or run.id in runs_with_episodes or is_new_verdict:
+            if run.overwritten or run.id in ids or is_new_verdict:
                 counted.append(run)
         self._store.file.execute("DELETE FROM run WHERE cell = ?", (self._number,))
         self._add_runs(counted)
