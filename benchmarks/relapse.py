@@ -150,13 +150,13 @@ def min_ratio(case: Callable[[], tuple[Work, Work]], bound: float) -> float:
 
 
 def _seconds(work: Work) -> float:
-    """Return the time of one call, from groups of calls that grow: reading the clock takes half a microsecond."""
-    calls, group, began = 0, 1, time.process_time()
+    """Return the time of one call, from groups of calls that grow: reading the clock takes 0.4 us."""
+    calls, began = 0, time.process_time()
     while time.process_time() - began < SECONDS:
-        for i in range(calls, calls + group):
+        group = range(calls, 9 * calls // 8 + 1)
+        for i in group:
             work(i)
-        calls += group
-        group = 1 + calls // 8
+        calls = group.stop
     return (time.process_time() - began) / calls
 
 

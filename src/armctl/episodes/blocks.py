@@ -1,7 +1,7 @@
 """Many episodes of a cell as one row of the store's table `episode_block`: an array for each column.
 
-A block is read some eight times as fast as its episodes one by one. Its checksum is of its values, its texts and the
-identity of its cell.
+Reading a block makes no Python objects for each episode, unlike reading rows. Its checksum is of its values, its texts
+and the identity of its cell.
 """
 
 import struct
