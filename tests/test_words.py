@@ -30,7 +30,8 @@ PACKAGES = [
             "__init__.py",
         )
     ),
-    *(CORE / name for name in ("cli", "datasets", "integrations", "report", "training", "tuning", "viewer")),
+    *(CORE / name for name in ("cli", "datasets", "estimation", "integrations", "remote", "report")),
+    *(CORE / name for name in ("training", "tuning", "viewer")),
     *(HOME / "baselines", HOME / "benchmarks", HOME / "rl", HOME / "tools"),
 ]
 """Packages whose renaming is done."""

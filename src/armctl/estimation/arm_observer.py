@@ -269,8 +269,8 @@ class ArmObserver:
         by_joints = joint_noise * np.square(model.jacobian(q)[:3]).sum() / 3
         offset = tip - model.position(q)
         innovation, expected = offset - rows @ self._links.mean[0], rows @ self._links.covariance[0] @ rows.T
-        seen = np.mean((innovation / LARGEST_SIGMA) ** 2 - np.diag(expected)) / unit
-        deviation = np.sqrt(max(self._targets.noise_scale[0] + by_joints / unit, seen))
+        noise_scale = np.mean((innovation / LARGEST_SIGMA) ** 2 - np.diag(expected)) / unit
+        deviation = np.sqrt(max(self._targets.noise_scale[0] + by_joints / unit, noise_scale))
         self._links.update([offset / deviation], rows / deviation)
 
     def _begin(self, q: Array) -> None:

@@ -177,11 +177,11 @@ class DriveObserver:
 
         Noisy ones are filtered. Return the states in which the next commands will act.
         """
-        before = self.delay.copy()
+        previous_delay = self.delay.copy()
         self._predictor.read(states)
         estimates = states
         if noisy:
-            self._forget_estimates(np.flatnonzero(self.delay != before))
+            self._forget_estimates(np.flatnonzero(self.delay != previous_delay))
             estimates = self._filtered(states)
         velocities = estimates[:, 3:].copy()
         self._responses.learn(self._velocities, self._predictor.sent, velocities, noisy)

@@ -83,10 +83,10 @@ class OccupancyGrid:
         part = occupied[first[0] : last[0], first[1] : last[1]]
         labels, count = ndimage.label(ndimage.maximum_filter(part, 2 * reach + 1, mode="constant"))
         of_cell = labels[tuple((cells - first).T)]
-        obstacles, known = [cells[of_cell == i + 1] for i in range(count)], self._boxes
+        obstacles, boxes = [cells[of_cell == i + 1] for i in range(count)], self._boxes
         keys = [obstacle.tobytes() for obstacle in obstacles]
         self._boxes = {
-            key: known.get(key) or smallest_box(self._low + (obstacle + 0.5) * CELL)
+            key: boxes.get(key) or smallest_box(self._low + (obstacle + 0.5) * CELL)
             for key, obstacle in zip(keys, obstacles, strict=True)
         }
         return np.array([*self._boxes.values()])

@@ -32,7 +32,7 @@ TO_CLOSE = 0.5
 TO_START = 120.0
 """s that another Python may take until it has imported what it runs."""
 PACKAGES = ("websockets", "msgpack")
-"""What another Python gets to see of this one's packages, behind its own."""
+"""Packages of this Python that another one may import, after its own."""
 LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 LAST_FRAME = re.compile(r'^  File "(.+)", line (\d+), in .*\n    (.+)$', re.MULTILINE)
 """File, number and text of a line in a traceback."""
@@ -95,18 +95,18 @@ class Connection:
             return unpacked(content)
 
     @contextlib.contextmanager
-    def _failures(self, what: str) -> Any:
+    def _failures(self, failure: str) -> Any:
         try:
             yield
         except TimeoutError as error:
             self._give_up(f"has not answered for {self.patience:g} s", error)
         except (WebSocketException, OSError, UnreadableMessage) as error:
-            self._give_up(f"{what} ({error or type(error).__name__})", error)
+            self._give_up(f"{failure} ({error or type(error).__name__})", error)
 
-    def _give_up(self, what: str, error: Exception) -> None:
+    def _give_up(self, failure: str, error: Exception) -> None:
         if hasattr(self, "_close"):
             self._close()
-        raise ConnectionFailed(f"{self._place} {what}") from error
+        raise ConnectionFailed(f"{self._place} {failure}") from error
 
 
 def error_in(text: str) -> OtherEndFailed:

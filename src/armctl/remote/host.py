@@ -30,7 +30,7 @@ DEEPEST, LONGEST = 5, 200
 
 
 class Handler(Protocol):
-    """What answers the messages of one connection."""
+    """Answers to the messages of one connection."""
 
     metadata: dict[str, Any]
     """The first message to the other end."""
@@ -90,12 +90,12 @@ class Controllers:
         start, actions, errors = perf_counter(), [], {}
         for world, controller in sorted(self._controllers.items()):
             try:
-                actions.append(np.asarray(controller.act(_one(message["observation"], world)), dtype=float))
+                actions.append(np.asarray(controller.act(_in_world(message["observation"], world)), dtype=float))
             except (Exception, SystemExit):
                 errors[str(world)] = traceback.format_exc()
                 actions.append(np.zeros(0))
-        given = next((action for action in actions if action.size), np.zeros(0))
-        complete = [np.zeros_like(given) if str(world) in errors else action for world, action in enumerate(actions)]
+        example = next((action for action in actions if action.size), np.zeros(0))
+        complete = [np.zeros_like(example) if str(world) in errors else action for world, action in enumerate(actions)]
         return {
             "actions": np.array(complete),
             "errors": errors,
@@ -195,10 +195,10 @@ def _plain(value: Any, level: int = 0) -> Any:
     return repr(value)[:LONGEST]
 
 
-def _one(observations: Any, world: int) -> Any:
+def _in_world(observations: Any, world: int) -> Any:
     """Return one world's observation of a batch."""
     if isinstance(observations, dict):
-        return {name: _one(part, world) for name, part in observations.items()}
+        return {name: _in_world(part, world) for name, part in observations.items()}
     return observations[world]
 
 

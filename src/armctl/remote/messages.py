@@ -12,7 +12,7 @@ import numpy as np
 LARGEST = 2**28
 """Bytes of a message."""
 VERSION = 1
-"""Of what armctl's two ends say beyond openpi's protocol."""
+"""Version of the messages that armctl's two ends exchange beyond openpi's protocol."""
 KINDS = "biuf"
 """Kinds of an array's numbers."""
 ARRAY, SCALAR = b"__ndarray__", b"__npgeneric__"
