@@ -52,7 +52,7 @@ test-uncovered: $(VENV)/full
 	$(PYTEST) --numprocesses 4 --all $(addprefix --ignore=,$(COVERED)) $(ARGS)
 
 test-thorough: $(VENV)/full
-	$(PYTEST) --all --thorough -m thorough $(ARGS)
+	$(PYTEST) --all --thorough -m thorough -o faulthandler_timeout=0 $(ARGS)
 
 coverage: $(VENV)/full
 	OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -q $(COVERED) $(ARGS)
