@@ -64,9 +64,9 @@ def check_solutions(model, result, seed, residual):
     assert model.within_limits(result.solutions).all()
     for i, q in enumerate(result.solutions):
         assert (apart(q, np.delete(result.solutions, i, axis=0)) > DISTINCT).all()
-    distance = np.abs(result.solutions - seed).max(axis=1)
-    assert (np.diff(distance) >= 0).all()
+    assert (np.diff(np.abs(result.solutions - seed).max(axis=1)) >= 0).all()
     assert residual(result.closest) == pytest.approx(result.closest_residual, abs=1e-9)
+    assert not result.reachable or np.array_equal(result.closest, result.q)
 
 
 @pytest.mark.parametrize(("robot", "count"), [("ur5", 600), ("ur3", 300), ("ur10", 300)])

@@ -31,6 +31,13 @@ def test_a_place_gives_its_pose_back_and_axes_may_be_inexact(search):
     np.testing.assert_allclose(search.centre(place[:3], 3.0 * place[3:9]), place, atol=1e-12)
 
 
+def test_the_closest_configuration_of_a_pose_is_the_branch_nearest_to_where_the_arm_is(search):
+    for q, near in search.model.random_configurations(np.random.default_rng(2), 40).reshape(20, 2, 6):
+        branches = search.configurations(near, search.place(q))
+        distances = np.abs(branches - near).max(axis=1)
+        np.testing.assert_array_equal(search.closest(search.place(q), near), branches[distances.argmin()])
+
+
 def test_poses_around_one_are_shifted_within_the_radius_and_keep_the_orientation(search):
     home = search.model.home
     for centre in targets(search, 5):

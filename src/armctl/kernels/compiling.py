@@ -1,6 +1,7 @@
 """Compilation of kernels: at the first call, once for each version, into the user's cache folder."""
 
 import contextlib
+import functools
 import hashlib
 import os
 import sys
@@ -53,12 +54,12 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             super().save_overload(sig, data)
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], fastmath: Any = False) -> Any:
     """Compile a function of arrays and scalars, when it is called first. Division by zero gives infinity, as in NumPy.
 
     Kernels may call each other, also across files. Their machine code is kept for later processes.
     """
-    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "fastmath": fastmath}
     dispatcher = numba.njit(function, pipeline_class=BorrowingCompiler, **options)
     dispatcher.compile = interrupts_raised()(dispatcher.compile)
     if _FOLDER is not None:
@@ -132,6 +133,9 @@ def bound(arguments):
     """Return `arguments`, a tuple, as a `Bound`, in which arrays stay the same ones."""
     return _new(arguments)
 
+
+fused = functools.partial(compiled, fastmath={"contract"})
+"""Compile a function in which a product and its sum are one instruction, rounded once, where the processor has it."""
 
 inlined = numba.njit(inline="always")
 """Compile a short function into those that call it: calls with many arrays take longer than the arithmetic."""

@@ -4,13 +4,16 @@ import math
 
 import numpy as np
 
-from armctl.kernels.arm import forward, linearise, tip_of, turned, workspace
+from armctl.kernels.arm import linearise, turned, workspace
 from armctl.kernels.arm_dynamics import factor, solve
-from armctl.kernels.compiling import compiled, copy_to, inlined
+from armctl.kernels.arm_lanes import FRAMES, LANES, pose_errors, tip_frames, twist_length
+from armctl.kernels.compiling import compiled, copy_to
 from armctl.kernels.reach import nearest_turn
 
 NEAR_ENOUGH, MAX_STEPS = 1e-10, 5
 """m and rad: error of a configuration that is improved no more, and the number of steps after which it is given up."""
+NOT_ENOUGH = -1
+"""Number of solutions where candidates have to be improved numerically."""
 DAMPING = 1e-12
 """Damping of steps (m^2, rad^2): small enough to change none but those at singular poses."""
 
@@ -36,58 +39,6 @@ def is_rigid(pose, tolerance):
         + (pose[0, 2] * pose[1, 0] - pose[0, 0] * pose[1, 2]) * pose[2, 1]
         > 0
     )
-
-
-@inlined
-def dot(rotation, i, x, y, z):
-    """Return the product of column i of a rotation (3, 3) and a vector."""
-    return rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z
-
-
-@inlined
-def relative(rotation, pose, i, j):
-    """Return an entry of the rotation from a frame to a pose (4, 4)."""
-    return dot(rotation, i, pose[0, j], pose[1, j], pose[2, j])
-
-
-@compiled
-def twist_length(rotation, position, pose):
-    """Return the length of the twist (m and rad) from a frame to a pose (4, 4), in that frame.
-
-    With the rotation vector w of the relative rotation, and its angle a, and the relative translation p, the twist is w
-    and p - w x p / 2 + (1 - a / 2 cot(a / 2)) w x (w x p) / a^2.
-    """
-    a, b, c = pose[0, 3] - position[0], pose[1, 3] - position[1], pose[2, 3] - position[2]
-    p_x, p_y, p_z = dot(rotation, 0, a, b, c), dot(rotation, 1, a, b, c), dot(rotation, 2, a, b, c)
-    w_x = (relative(rotation, pose, 2, 1) - relative(rotation, pose, 1, 2)) / 2
-    w_y = (relative(rotation, pose, 0, 2) - relative(rotation, pose, 2, 0)) / 2
-    w_z = (relative(rotation, pose, 1, 0) - relative(rotation, pose, 0, 1)) / 2
-    trace = relative(rotation, pose, 0, 0) + relative(rotation, pose, 1, 1) + relative(rotation, pose, 2, 2)
-    sine = math.sqrt(w_x * w_x + w_y * w_y + w_z * w_z)
-    angle = math.atan2(sine, (trace - 1) / 2)
-    bend = 1 / 12
-    if angle > 1e-4:
-        stretch = angle / sine
-        w_x, w_y, w_z = w_x * stretch, w_y * stretch, w_z * stretch
-        bend = (1 - angle / 2 / math.tan(angle / 2)) / (angle * angle)
-    x, y, z = w_y * p_z - w_z * p_y, w_z * p_x - w_x * p_z, w_x * p_y - w_y * p_x
-    u = p_x - x / 2 + bend * (w_y * z - w_z * y)
-    v = p_y - y / 2 + bend * (w_z * x - w_x * z)
-    s = p_z - z / 2 + bend * (w_x * y - w_y * x)
-    return math.sqrt(angle * angle + u * u + v * v + s * s)
-
-
-@compiled
-def tip_pose(joints, q, rotations, origins, rotation, position):
-    """Compute orientation (3, 3) and position (3,) of the end-effector at q (dof,)."""
-    forward(joints, q, rotations, origins)
-    tip_of(joints, rotations, origins, position)
-    last = len(joints) - 1
-    tip = joints[last].tip_rotation
-    for i in range(3):
-        x, y, z = rotations[last, i, 0], rotations[last, i, 1], rotations[last, i, 2]
-        for j in range(3):
-            rotation[i, j] = x * tip[0, j] + y * tip[1, j] + z * tip[2, j]
 
 
 @compiled
@@ -160,45 +111,55 @@ def is_distinct(q, solutions, count, distinct):
 
 
 @compiled
+def pose_residuals(joints, pose, seed, candidates, residuals):
+    """Compute the twists' lengths (1 + k,) to a pose (4, 4), m and rad, at `seed` (dof,) and `candidates` (k, dof)."""
+    lanes, q = np.empty(1, FRAMES), np.empty((len(seed), LANES))
+    for first in range(0, len(residuals), LANES):
+        count = min(LANES, len(residuals) - first)
+        for i in range(len(seed)):
+            for lane in range(LANES):
+                row = first + min(lane, count - 1)
+                q[i, lane] = candidates[row - 1, i] if row else seed[i]
+        tip_frames(joints, q, lanes[0])
+        pose_errors(lanes[0], pose)
+        for lane in range(count):
+            residuals[first + lane] = twist_length(lanes[0], lane)
+
+
+@compiled
 def choose(joints, pose, candidates, approximate, seed, tolerances, solutions, residuals):
     """Choose the `candidates` (k, dof) for a `pose` (4, 4) that are within the limits, the nearest to `seed` first.
 
-    They are written to `solutions` (k + 1, dof), with their `residuals` (k + 1,), and the one of least residual to
-    the last rows. Returns their number. It is -1 if that does not suffice: none is exact, a residual is above `exact`,
-    or that of `seed` (dof,) below `near`. Solutions nearer to each other than `distinct` count once. `tolerances` are
-    these three.
+    They are written to `solutions` (k, dof), with their `residuals` (k,); if none is, the nearest outside. Return their
+    number, or `NOT_ENOUGH`: all are approximations, the residual of one that is not is above `exact`, or that of `seed`
+    (dof,) below `near`. Solutions nearer to each other than `distinct` count once. `tolerances` are these three.
     """
     exact, near, distinct = tolerances
-    dof, last = len(joints), len(candidates)
-    rotations, origins = np.empty((dof, 3, 3)), np.empty((dof, 3))
-    rotation, position, q = np.empty((3, 3)), np.empty(3), np.empty(dof)
-    distances = np.empty(last)
-    tip_pose(joints, seed, rotations, origins, rotation, position)
-    if twist_length(rotation, position, pose) < near:
-        return -1
-    count, residuals[last] = 0, np.inf
-    for row in range(last):
+    all_residuals, distances, q = np.empty(1 + len(candidates)), np.empty(1 + len(candidates)), np.empty(len(seed))
+    pose_residuals(joints, pose, seed, candidates, all_residuals)
+    if all_residuals[0] < near:
+        return NOT_ENOUGH
+    count, distances[0] = 0, np.inf
+    for row in range(len(candidates)):
         if approximate[row]:
             continue
-        tip_pose(joints, candidates[row], rotations, origins, rotation, position)
-        residual = twist_length(rotation, position, pose)
-        if not residual < exact:
-            return -1
+        if not all_residuals[1 + row] < exact:
+            return NOT_ENOUGH
         nearest_turn(joints, candidates[row], seed, q)
-        if residual < residuals[last]:
-            residuals[last] = residual
-            copy_to(q, solutions[last])
-        within, distance, at = True, 0.0, count
-        for i in range(dof):
-            within = within and joints[i].lower <= q[i] <= joints[i].upper
+        is_within, distance, at = True, 0.0, count
+        for i in range(len(q)):
+            is_within = is_within and joints[i].lower <= q[i] <= joints[i].upper
             distance = max(distance, abs(q[i] - seed[i]))
-        if not within or not is_distinct(q, solutions, count, distinct):
+        if is_within:
+            if not is_distinct(q, solutions, count, distinct):
+                continue
+        elif count > 0 or distance >= distances[0]:
             continue
         while at > 0 and distances[at - 1] > distance:
             distances[at], residuals[at] = distances[at - 1], residuals[at - 1]
             copy_to(solutions[at - 1], solutions[at])
             at -= 1
-        distances[at], residuals[at] = distance, residual
+        distances[at], residuals[at] = distance, all_residuals[1 + row]
         copy_to(q, solutions[at])
-        count += 1
-    return count if residuals[last] < np.inf else -1
+        count += is_within
+    return count if distances[0] < np.inf else NOT_ENOUGH

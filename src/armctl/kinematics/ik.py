@@ -62,7 +62,8 @@ class IkResult(NamedTuple):
     residuals: Array
     """(k,) measured by forward kinematics, in the unit of `IkOptions.tolerance`."""
     closest: Array
-    """(dof,) rad: the configuration with the least residual, a solution or not."""
+    """(dof,) rad: the first solution; if there is none, the configuration with the least residual, inside the limits or
+    outside. Of several that are exact, it is the nearest to the seed."""
     closest_residual: float
     iterations: int
 
@@ -100,6 +101,7 @@ class Ik:
     def __init__(self, model: ArmModel, options: IkOptions | None = None) -> None:
         self.model = model
         self.options = options or IkOptions()
+        self._tolerances = EXACT * self.options.tolerance, self.options.near, self.options.distinct
         self._six_joints = six_joints(model)
         """The closed form for positions as well, if it is of use for them."""
         rng = np.random.default_rng(self.options.rng_seed)
@@ -140,15 +142,15 @@ class Ik:
         self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
     ) -> IkResult | None:
         """Return the closed form's solutions; None if one of them needs to be polished, or there is none."""
-        options = self.options
-        solutions, residuals = np.empty((len(q) + 1, self.model.dof)), np.empty(len(q) + 1)
-        tolerances = EXACT * options.tolerance, options.near, options.distinct
-        number = kernel.choose(self.model.joints, target, q, approximate, seed, tolerances, solutions, residuals)
-        if number < 0:
+        model, tolerances = self.model, self._tolerances
+        solutions, residuals = np.empty((len(q), model.dof)), np.empty(len(q))
+        number = kernel.choose(model.joints, target, q, approximate, seed, tolerances, solutions, residuals)
+        if number == kernel.NOT_ENOUGH:
             return None
+        closest, closest_residual = solutions[0], residuals[0]
         if count is not None:
             number = min(number, count)
-        return IkResult(solutions[:number], residuals[:number], solutions[-1], float(residuals[-1]), 0)
+        return IkResult(solutions[:number], residuals[:number], closest, float(closest_residual), 0)
 
     def _polished(
         self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
@@ -250,11 +252,13 @@ class Ik:
     def _result(self, attempts: "list[_Attempt]", seed: Array, count: int | None) -> IkResult:
         q = self.model.nearest_turn(np.array([attempt.q for attempt in attempts]).reshape(-1, self.model.dof), seed)
         residuals = np.array([attempt.residual for attempt in attempts])
-        order = np.argsort(np.abs(q - seed).max(axis=-1), kind="stable")
-        order = order[(residuals[order] <= self.options.tolerance) & self.model.within_limits(q[order])]
+        by_distance = np.argsort(np.abs(q - seed).max(axis=-1), kind="stable")
+        allowed = (residuals <= self.options.tolerance) & self.model.within_limits(q)
+        order = by_distance[allowed[by_distance]]
         apart = np.abs(q[order][:, None] - q[order]).max(axis=-1) > self.options.distinct
         order = order[np.all(apart | ~np.tri(len(order), k=-1, dtype=bool), axis=1)][:count]
-        closest = int(np.argmin(residuals)) if attempts else -1
+        inexact = np.maximum(residuals[by_distance], EXACT * self.options.tolerance)
+        closest = int(order[0] if len(order) else by_distance[np.argmin(inexact)]) if attempts else -1
         return IkResult(
             q[order],
             residuals[order],
