@@ -8,16 +8,15 @@ import math
 
 import numpy as np
 
-from armctl.kernels.arm import row_of_turn
 from armctl.kernels.compiling import fused, inlined
 
-LANES = 16
-"""Configurations in one computation. LLVM makes no vectors of shorter loops over arrays that may overlap."""
+LANES = 12
+"""Configurations in one computation: the eight of a closed form and a seed fit."""
 FRAMES = np.dtype(
     [
         *(("rotation", float, (3, 3, LANES)), ("position", float, (3, LANES))),
         *((name, float, (3, LANES)) for name in ("rotation_error", "translation_error")),
-        ("cosine", float, LANES),
+        *((name, float, LANES) for name in ("angle", "cosine")),
     ]
 )
 """Memory for the frames of all lanes, and for their errors to a pose."""
@@ -51,6 +50,24 @@ def sine_and_versine(angle):
 
 
 @inlined
+def scalars(vector):
+    """Return the entries of a vector (3,)."""
+    return vector[0], vector[1], vector[2]
+
+
+@inlined
+def rows(matrix):
+    """Return the entries of a matrix (3, 3), by rows."""
+    return scalars(matrix[0]), scalars(matrix[1]), scalars(matrix[2])
+
+
+@inlined
+def combined(a, b, c, x, y):
+    """Return a + x b + y c, of three numbers each."""
+    return a[0] + x * b[0] + y * c[0], a[1] + x * b[1] + y * c[1], a[2] + x * b[2] + y * c[2]
+
+
+@inlined
 def move(lanes, lane, step, turn):
     """Move a lane's frame by a `step` along its axes, and then turn it by the rows of a rotation."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn
@@ -63,36 +80,28 @@ def move(lanes, lane, step, turn):
 
 
 @fused
-def move_by_joint(lanes, joint, q):
-    """Move the frames by a joint whose motor is at q (LANES,)."""
+def move_by_joint(lanes, joint):
+    """Move the frames by a joint at each lane's `angle`."""
+    base, by_sine, by_versine = rows(joint.base), rows(joint.sine), rows(joint.versine)
+    offset, slide = scalars(joint.offset), scalars(joint.slide)
     for lane in range(LANES):
-        angle = joint.ratio * q[lane] + joint.shift
+        angle = lanes.angle[lane]
         sine, versine = sine_and_versine(angle)
-        step = (
-            joint.offset[0] + angle * joint.slide[0],
-            joint.offset[1] + angle * joint.slide[1],
-            joint.offset[2] + angle * joint.slide[2],
-        )
         turn = (
-            row_of_turn(joint, 0, sine, versine),
-            row_of_turn(joint, 1, sine, versine),
-            row_of_turn(joint, 2, sine, versine),
+            combined(base[0], by_sine[0], by_versine[0], sine, versine),
+            combined(base[1], by_sine[1], by_versine[1], sine, versine),
+            combined(base[2], by_sine[2], by_versine[2], sine, versine),
         )
+        step = offset[0] + angle * slide[0], offset[1] + angle * slide[1], offset[2] + angle * slide[2]
         move(lanes, lane, step, turn)
 
 
 @fused
 def move_to_tip(lanes, joint):
     """Move the frames from the last joint to the end-effector."""
+    step, turn = scalars(joint.tip), rows(joint.tip_rotation)
     for lane in range(LANES):
-        turn = row_of_tip(joint, 0), row_of_tip(joint, 1), row_of_tip(joint, 2)
-        move(lanes, lane, joint.tip, turn)
-
-
-@inlined
-def row_of_tip(joint, i):
-    """Return row i of the end-effector's rotation in the last joint's frame."""
-    return joint.tip_rotation[i, 0], joint.tip_rotation[i, 1], joint.tip_rotation[i, 2]
+        move(lanes, lane, step, turn)
 
 
 @fused
@@ -104,15 +113,16 @@ def tip_frames(joints, q, lanes):
             for j in range(3):
                 lanes.rotation[i, j, lane] = 1.0 if i == j else 0.0
     for k in range(len(joints)):
-        move_by_joint(lanes, joints[k], q[joints[k].motor])
+        for lane in range(LANES):
+            lanes.angle[lane] = joints[k].ratio * q[joints[k].motor, lane] + joints[k].shift
+        move_by_joint(lanes, joints[k])
     move_to_tip(lanes, joints[len(joints) - 1])
 
 
 @inlined
-def relative(lanes, lane, i, pose, j):
-    """Return the product of a frame's axis i and column j of a pose."""
-    r = lanes.rotation
-    return r[0, i, lane] * pose[0, j] + r[1, i, lane] * pose[1, j] + r[2, i, lane] * pose[2, j]
+def dot(a, b):
+    """Return the product of two vectors of three numbers."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @fused
@@ -121,18 +131,23 @@ def pose_errors(lanes, pose):
 
     Of a rotation by an angle, `rotation_error` is its axis times the sine, and `cosine` the cosine.
     """
+    x, y, z, position = scalars(pose[:, 0]), scalars(pose[:, 1]), scalars(pose[:, 2]), scalars(pose[:, 3])
     for lane in range(LANES):
-        trace = 0.0
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            trace += relative(lanes, lane, i, pose, i)
-            lanes.rotation_error[i, lane] = (relative(lanes, lane, k, pose, j) - relative(lanes, lane, j, pose, k)) / 2
-            lanes.translation_error[i, lane] = (
-                lanes.rotation[0, i, lane] * (pose[0, 3] - lanes.position[0, lane])
-                + lanes.rotation[1, i, lane] * (pose[1, 3] - lanes.position[1, lane])
-                + lanes.rotation[2, i, lane] * (pose[2, 3] - lanes.position[2, lane])
-            )
-        lanes.cosine[lane] = (trace - 1) / 2
+        a = lanes.rotation[0, 0, lane], lanes.rotation[1, 0, lane], lanes.rotation[2, 0, lane]
+        b = lanes.rotation[0, 1, lane], lanes.rotation[1, 1, lane], lanes.rotation[2, 1, lane]
+        c = lanes.rotation[0, 2, lane], lanes.rotation[1, 2, lane], lanes.rotation[2, 2, lane]
+        shift = (
+            position[0] - lanes.position[0, lane],
+            position[1] - lanes.position[1, lane],
+            position[2] - lanes.position[2, lane],
+        )
+        lanes.cosine[lane] = (dot(a, x) + dot(b, y) + dot(c, z) - 1) / 2
+        lanes.rotation_error[0, lane] = (dot(c, y) - dot(b, z)) / 2
+        lanes.rotation_error[1, lane] = (dot(a, z) - dot(c, x)) / 2
+        lanes.rotation_error[2, lane] = (dot(b, x) - dot(a, y)) / 2
+        lanes.translation_error[0, lane] = dot(a, shift)
+        lanes.translation_error[1, lane] = dot(b, shift)
+        lanes.translation_error[2, lane] = dot(c, shift)
 
 
 @fused

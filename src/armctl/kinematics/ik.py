@@ -57,20 +57,39 @@ class IkOptions:
 class IkResult(NamedTuple):
     """Solutions within the joint limits, the one nearest to the seed first."""
 
-    solutions: Array
-    """(k, dof) rad; k is 0 if the target is out of reach."""
-    residuals: Array
-    """(k,) measured by forward kinematics, in the unit of `IkOptions.tolerance`."""
-    closest: Array
-    """(dof,) rad: the first solution; if there is none, the configuration with the least residual, inside the limits or
-    outside. Of several that are exact, it is the nearest to the seed."""
-    closest_residual: float
+    configurations: Array
+    """(max(k, 1), dof) rad: the k solutions; if there is none, the configuration with the least residual, inside the
+    limits or outside. Of several that are exact, it is the nearest to the seed."""
+    configuration_residuals: Array
+    """(max(k, 1),) measured by forward kinematics, in the unit of `IkOptions.tolerance`."""
+    num_solutions: int
+    """k: 0 if the target is out of reach."""
     iterations: int
+
+    @property
+    def solutions(self) -> Array:
+        """The solutions, (k, dof) rad."""
+        return self.configurations[: self.num_solutions]
+
+    @property
+    def residuals(self) -> Array:
+        """The residuals of the solutions, (k,)."""
+        return self.configuration_residuals[: self.num_solutions]
+
+    @property
+    def closest(self) -> Array:
+        """The first solution, or what comes nearest to one, (dof,) rad."""
+        return np.asarray(self.configurations[0])
+
+    @property
+    def closest_residual(self) -> float:
+        """The residual of `closest`."""
+        return float(self.configuration_residuals[0])
 
     @property
     def reachable(self) -> bool:
         """True if there is a solution."""
-        return len(self.solutions) > 0
+        return self.num_solutions > 0
 
     @property
     def q(self) -> Array:
@@ -79,7 +98,7 @@ class IkResult(NamedTuple):
             raise UnreachableTarget(
                 f"no configuration reaches the target; the closest is off by {self.closest_residual:.3g}"
             )
-        return np.asarray(self.solutions[0])
+        return self.closest
 
 
 def random_orientations(n: int, rng: np.random.Generator) -> Array:
@@ -142,15 +161,18 @@ class Ik:
         self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
     ) -> IkResult | None:
         """Return the closed form's solutions; None if one of them needs to be polished, or there is none."""
-        model, tolerances = self.model, self._tolerances
-        solutions, residuals = np.empty((len(q), model.dof)), np.empty(len(q))
-        number = kernel.choose(model.joints, target, q, approximate, seed, tolerances, solutions, residuals)
+        configurations, residuals = np.empty(q.shape), np.empty(len(q))
+        number = kernel.choose(
+            self.model.joints, target, q, approximate, seed, self._tolerances, configurations, residuals
+        )
         if number == kernel.NOT_ENOUGH:
             return None
-        closest, closest_residual = solutions[0], residuals[0]
         if count is not None:
             number = min(number, count)
-        return IkResult(solutions[:number], residuals[:number], closest, float(closest_residual), 0)
+        if number < len(q):
+            rows = max(number, 1)
+            configurations, residuals = configurations[:rows], residuals[:rows]
+        return IkResult(configurations, residuals, number, 0)
 
     def _polished(
         self, target: Array, q: Array, approximate: NDArray[np.bool_], seed: Array, count: int | None
@@ -250,7 +272,9 @@ class Ik:
         return _Attempt(best, best_residual, step)
 
     def _result(self, attempts: "list[_Attempt]", seed: Array, count: int | None) -> IkResult:
-        q = self.model.nearest_turn(np.array([attempt.q for attempt in attempts]).reshape(-1, self.model.dof), seed)
+        if not attempts:
+            return IkResult(seed[None], np.array([np.inf]), 0, 0)
+        q = self.model.nearest_turn(np.array([attempt.q for attempt in attempts]), seed)
         residuals = np.array([attempt.residual for attempt in attempts])
         by_distance = np.argsort(np.abs(q - seed).max(axis=-1), kind="stable")
         allowed = (residuals <= self.options.tolerance) & self.model.within_limits(q)
@@ -258,14 +282,8 @@ class Ik:
         apart = np.abs(q[order][:, None] - q[order]).max(axis=-1) > self.options.distinct
         order = order[np.all(apart | ~np.tri(len(order), k=-1, dtype=bool), axis=1)][:count]
         inexact = np.maximum(residuals[by_distance], EXACT * self.options.tolerance)
-        closest = int(order[0] if len(order) else by_distance[np.argmin(inexact)]) if attempts else -1
-        return IkResult(
-            q[order],
-            residuals[order],
-            q[closest] if attempts else seed,
-            float(residuals[closest]) if attempts else np.inf,
-            sum(attempt.iterations for attempt in attempts),
-        )
+        rows = order if len(order) else by_distance[[np.argmin(inexact)]]
+        return IkResult(q[rows], residuals[rows], len(order), sum(attempt.iterations for attempt in attempts))
 
 
 @dataclass(frozen=True)
