@@ -30,7 +30,7 @@ PACKAGES = [
             "__init__.py",
         )
     ),
-    *(CORE / name for name in ("cli", "datasets", "estimation", "integrations", "remote", "report")),
+    *(CORE / name for name in ("cli", "datasets", "estimation", "integrations", "judging", "remote", "report")),
     *(CORE / name for name in ("training", "tuning", "viewer")),
     *(HOME / "baselines", HOME / "benchmarks", HOME / "rl", HOME / "tools"),
 ]

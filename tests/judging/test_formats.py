@@ -259,7 +259,7 @@ def test_each_task_has_its_time_limit_and_all_have_the_widest_returns():
     parts = [
         Rows(source=f"{policy} {task}", headings=["episode", "success", "return", "steps"], places=range(20),
              values=[[k, k % 2, 0.5, 50] for k in range(20)], constants={"task": task, "policy": policy},
-             known=True, time_limit=limit, return_bounds=bounds)
+             is_known_format=True, time_limit=limit, return_bounds=bounds)
         for task, (limit, bounds) in limits.items() for policy in ("new", "old")
     ]  # fmt: skip
     facts = {cell.name: comparison.facts for cell, comparison in comparisons_of(trials_of(parts, {}, {}), Terms())}

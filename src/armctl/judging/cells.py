@@ -27,7 +27,7 @@ ALL = "all"
 
 @options
 class Terms:
-    """What is said of the results besides the files."""
+    """Facts about the results that no file has, and the terms of the verdict."""
 
     baseline: str | None = None
     margin: Annotated[float, Field(gt=0, lt=1)] = MARGIN
@@ -69,26 +69,26 @@ class TrialCell:
         return tuple(trial.key for trial in next(iter(self.members.values())))
 
 
-def comparisons_of(found: Trials, terms: Terms) -> list[tuple[TrialCell, Comparison]]:
+def comparisons_of(all_trials: Trials, terms: Terms) -> list[tuple[TrialCell, Comparison]]:
     """Return each cell with its comparison; the last of several is `ALL` together, if they are balanced.
 
     Raises `ConfigurationError`.
     """
-    order = {source: i for i, source in enumerate(found.sources)}
+    order = {source: i for i, source in enumerate(all_trials.sources)}
     first = dict[str, int]()
-    for trial in found.trials:
+    for trial in all_trials.trials:
         place = order[trial.source]
         first[trial.policy] = min(place, first.get(trial.policy, place))
     policies = sorted(first, key=lambda policy: (first[policy], natural(policy)))
     for name in (*terms.learned, *([] if terms.baseline is None else [terms.baseline])):
         if name not in policies:
             raise unknown_name("policy in these results", name, policies)
-    terms = replace(terms, any_number=terms.any_number or found.any_number)
-    found = _with_terms(found, terms)
-    cells = [_paired(cell, terms, found.any_number) for cell in _cells(found, policies, terms.task)]
+    terms = replace(terms, any_number=terms.any_number or all_trials.any_number)
+    all_trials = _with_terms(all_trials, terms)
+    cells = [_paired(cell, terms, all_trials.any_number) for cell in _cells(all_trials, policies, terms.task)]
     if len(cells) > 1 and (pooled := _pooled(cells, terms)) is not None:
         cells.append(pooled)
-    return [(cell, _concluded(cell, found, policies, terms)) for cell in cells]
+    return [(cell, _concluded(cell, all_trials, policies, terms)) for cell in cells]
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
@@ -97,38 +97,42 @@ def natural(text: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts]
 
 
-def _with_terms(found: Trials, terms: Terms) -> Trials:
+def _with_terms(all_trials: Trials, terms: Terms) -> Trials:
     """Return the trials with success by return, if that is said, and a time in place of a missing return."""
-    trials, notes = found.trials, dict(found.notes)
-    known = {
+    trials, notes = all_trials.trials, dict(all_trials.notes)
+    is_known = {
         "success": all(trial.success is not None for trial in trials),
         "episode_return": all(trial.episode_return is not None for trial in trials),
         "time": all(trial.time is not None for trial in trials if trial.success is not False),
     }
-    if terms.success_return is not None and not known["success"]:
-        if not known["episode_return"]:
+    if terms.success_return is not None and not is_known["success"]:
+        if not is_known["episode_return"]:
             raise ConfigurationError("a success by return needs returns, and there are none")
-        limit, known["success"] = terms.success_return, True
+        limit, is_known["success"] = terms.success_return, True
         trials = [trial._replace(success=trial.episode_return >= limit) for trial in trials]  # type: ignore[operator]
         notes[f"A return from {limit:g} on counts as a success."] = []
-    if terms.return_bounds is not None and known["episode_return"]:
+    if terms.return_bounds is not None and is_known["episode_return"]:
         low, high = terms.return_bounds
         for trial in trials:
             if not low <= (trial.episode_return or 0.0) <= high:
                 raise ConfigurationError(
                     f"{trial.where}: the return {trial.episode_return:g} is outside {low:g} to {high:g}"
                 )
-    if known["time"] and not known["episode_return"] and (terms.time_limit is not None or not known["success"]):
+    if (
+        is_known["time"]
+        and not is_known["episode_return"]
+        and (terms.time_limit is not None or not is_known["success"])
+    ):
         limit = math.inf if terms.time_limit is None else terms.time_limit
         for trial in trials:
             if trial.success is not False and (trial.time or 0.0) > limit:
                 raise ConfigurationError(f"{trial.where}: the time {trial.time:g} s is beyond the limit, {limit:g} s")
-        lost = f"; a failure counts as the time limit, {limit:g} s" if known["success"] else ""
+        lost = f"; a failure counts as the time limit, {limit:g} s" if is_known["success"] else ""
         notes[f"Return: minus the time in s, so that the higher one is faster{lost}."] = []
         trials = [trial._replace(episode_return=-(limit if trial.success is False else trial.time)) for trial in trials]  # type: ignore[operator]
-    elif known["time"]:
-        notes |= {text: [] for text in _mean_times(trials, known["success"])}
-    return replace(found, trials=trials, notes=notes)
+    elif is_known["time"]:
+        notes |= {text: [] for text in _mean_times(trials, is_known["success"])}
+    return replace(all_trials, trials=trials, notes=notes)
 
 
 def _mean_times(trials: Sequence[Trial], scored: bool) -> list[str]:
@@ -141,10 +145,10 @@ def _mean_times(trials: Sequence[Trial], scored: bool) -> list[str]:
     return [f"Mean time of {'successes' if scored else 'episodes'}: {means}; it is not tested."] if means else []
 
 
-def _cells(found: Trials, policies: Sequence[str], task: str) -> list[TrialCell]:
+def _cells(all_trials: Trials, policies: Sequence[str], task: str) -> list[TrialCell]:
     """Return the cells in the natural order of their names, their policies in the given order."""
     cells: dict[tuple[str, str], TrialCell] = {}
-    for trial in found.trials:
+    for trial in all_trials.trials:
         name = ", ".join(filter(None, (trial.task, trial.condition))) or task
         cell = cells.setdefault((trial.task, trial.condition), TrialCell(name, trial.task, trial.condition))
         cell.members.setdefault((trial.policy, trial.training_seed), []).append(trial)
@@ -165,12 +169,12 @@ def _paired(cell: TrialCell, terms: Terms, logged: bool) -> TrialCell:
     has_keys = all(all(any(key) for key in places) for places in keys.values())
     fewest = min(keys.values(), key=len)
     cell.paired = has_keys and not terms.unpaired and all(set(fewest) <= set(places) for places in keys.values())
-    most = max(map(len, keys.values()))
-    if cell.paired and 2 * len(fewest) < most:
+    max_episodes = max(map(len, keys.values()))
+    if cell.paired and 2 * len(fewest) < max_episodes:
         cell.paired = False
         cell.doubts.append(
-            f"Not compared in pairs: all policies have only {len(fewest)} episodes, and one has {most}, of which these "
-            "may have been chosen by their outcome. All episodes are compared, as separate samples."
+            f"Not compared in pairs: all policies have only {len(fewest)} episodes, and one has {max_episodes}, of "
+            "which these may have been chosen by their outcome. All episodes are compared, as separate samples."
         )
     left_out: dict[str, list[Trial]] = {}
     for member, trials in cell.members.items():
@@ -260,7 +264,7 @@ def _pooled(cells: Sequence[TrialCell], terms: Terms) -> TrialCell | None:
     return pooled
 
 
-def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: Terms) -> Comparison:
+def _concluded(cell: TrialCell, all_trials: Trials, policies: Sequence[str], terms: Terms) -> Comparison:
     """Return the comparison of a cell."""
     trainings = {policy: [seed for name, seed in cell.members if name == policy] for policy in policies}
     names = {
@@ -273,18 +277,18 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
     }
     everything = [trial for trials in cell.members.values() for trial in trials]
     unknown = [
-        name for name, known in (
+        name for name, is_known in (
             ("return", all(trial.episode_return is not None for trial in everything)),
             ("steps", all(trial.steps is not None for trial in everything)),
             ("decision_ms", all(trial.decision_ms is not None for trial in everything)),
-        ) if not known
+        ) if not is_known
     ]  # fmt: skip
-    notes = found.remarks
+    notes = all_trials.remarks
     if len(trainings) > 1 and not (cell.paired or terms.unpaired or any(any(trial.key) for trial in everything)):
         notes.append("No pairs: nothing says which trials had equal initial conditions, as a column episode would.")
     notes += cell.notes
     baseline = terms.baseline if terms.baseline in trainings else None
-    limits = found.time_limits
+    limits = all_trials.time_limits
     limit = terms.max_steps or limits.get(cell.task) or max(limits.values(), default=None)
     longest = max((trial.steps or 0 for trial in everything), default=0)
     if limit is not None and longest > limit:
@@ -301,13 +305,13 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
     planned = max(map(len, cell.members.values()))
     facts = Facts(
         env_options={}, policy_seed=0, planned=planned,
-        policies={names[member]: _policy_facts(member[0], found, terms) for member in cell.members},
-        return_bounds=_bounds(terms, found, unknown), time_limit=None if "steps" in unknown else limit,
+        policies={names[member]: _policy_facts(member[0], all_trials, terms) for member in cell.members},
+        return_bounds=_bounds(terms, all_trials, unknown), time_limit=None if "steps" in unknown else limit,
         control_period=None, versions={}, machine={}, notes=notes, failures={},
         baseline=f"{baseline}[*]" if f"{baseline}[*]" in groups else baseline,
         margin=terms.margin, real_time=None, groups=groups, disqualified=[], interrupted=False, resumed=0,
         paired=cell.paired,
-        sources=found.sources, unknown=unknown,
+        sources=all_trials.sources, unknown=unknown,
         at_most=planned if terms.any_number else None,
     )  # fmt: skip
     table = table_of(cell.name, {names[member]: trials for member, trials in cell.members.items()}, unknown)
@@ -317,16 +321,16 @@ def _concluded(cell: TrialCell, found: Trials, policies: Sequence[str], terms: T
     return comparison
 
 
-def _bounds(terms: Terms, found: Trials, unknown: Sequence[str]) -> Bounds | None:
+def _bounds(terms: Terms, all_trials: Trials, unknown: Sequence[str]) -> Bounds | None:
     if "return" in unknown:
         return None
     if terms.return_bounds is None and terms.time_limit is not None:
         return -terms.time_limit, 0.0
-    return terms.return_bounds or found.return_bounds
+    return terms.return_bounds or all_trials.return_bounds
 
 
-def _policy_facts(policy: str, found: Trials, terms: Terms) -> PolicyFacts:
-    steps = found.training_steps.get(policy, 0)
-    learned = steps > 0 or policy in found.learned or policy in terms.learned
+def _policy_facts(policy: str, all_trials: Trials, terms: Terms) -> PolicyFacts:
+    steps = all_trials.training_steps.get(policy, 0)
+    learned = steps > 0 or policy in all_trials.learned or policy in terms.learned
     kind = "learned" if learned else "classical" if terms.learned else UNDECLARED
     return PolicyFacts(UNDECLARED, TrainingCost(steps), None, (), kind=kind)

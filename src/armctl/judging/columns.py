@@ -1,4 +1,4 @@
-"""Which column is what: by the names that people and libraries give them, or as it was said."""
+"""Fields of columns: by the names that people and libraries give them, or as the caller says."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ def columns_of(rows: Rows, chosen: Mapping[str, str]) -> dict[str, int]:
         if field in chosen:
             columns[field] = _place(rows, headings, chosen[field], field)
             continue
-        if rows.known:
+        if rows.is_known_format:
             names = (field,)
         elif field == "success" and "success" not in headings and "is_success" not in headings:
             names = (*names, "label")

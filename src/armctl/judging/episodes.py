@@ -22,7 +22,7 @@ def table_of(env: str, members: Mapping[str, Sequence[Trial]], unknown: Sequence
     n = len(trials)
     scored = all(trial.success is not None for _, _, trial in trials)
     outcomes = {True: "success", False: "failure", None: "finished"}
-    known: dict[str, list[Any]] = {
+    values: dict[str, list[Any]] = {
         "policy": [name for name, _, _ in trials],
         "env": [bare_id(env)] * n,
         "episode": [k for _, k, _ in trials],
@@ -36,7 +36,7 @@ def table_of(env: str, members: Mapping[str, Sequence[Trial]], unknown: Sequence
     columns: dict[str, Column] = {}
     for name, kinds in TYPES.items():
         (kind,) = kinds - {NoneType}
-        columns[name] = column(name, known.get(name, [None if NoneType in kinds else UNPLAYED[kind]] * n))
+        columns[name] = column(name, values.get(name, [None if NoneType in kinds else UNPLAYED[kind]] * n))
     times = [] if "decision_ms" in unknown else [trial.decision_ms for _, _, trial in trials]
     return EpisodeTable.of_columns(
         columns, [()], np.zeros(n, np.intp), Ragged.of(np.empty(0), [0] * n),

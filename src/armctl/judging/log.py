@@ -56,7 +56,7 @@ class TrialLog:
     rows: list[list[str]] = field(default_factory=list)
     """Trials so far, with `COLUMNS`."""
     task: str = ""
-    """What is tried, as `judge` names it beside other tasks; empty: nothing else is judged with it."""
+    """Task of the trials, as `judge` names it beside others; empty: nothing else is judged with it."""
 
     @classmethod
     def begin(
@@ -167,11 +167,11 @@ class TrialLog:
 
     def check_plan(self, policies: Sequence[str], episodes: int | None, seed: int | None, task: str = "") -> None:
         """Raise `ResultsError` unless a log is what was asked for, as far as something was."""
-        asked: dict[str, list[str] | str | int | None] = {
+        requested: dict[str, list[str] | str | int | None] = {
             "policies": [" ".join(name.split()) for name in policies] or None, "episodes": episodes, "seed": seed,
             "task": " ".join(task.split()) or None,
         }  # fmt: skip
-        for name, value in asked.items():
+        for name, value in requested.items():
             if value not in (None, present := getattr(self, name)):
                 raise ResultsError(f"{self.path} is a log of other {name}, {present}: leave them out to go on with it")
 
@@ -196,11 +196,11 @@ def entry_of(line: str) -> tuple[bool, float | None, str]:
     except ValueError:
         raise ConfigurationError(f"{word!r:.40} is neither y nor n") from None
     first, _, remark = rest.strip().partition(" ")
-    number, unit, after = "", "", remark
+    number, unit, remainder = "", "", remark
     if match := QUANTITY.fullmatch(first):
         number, unit = match.groups()
         if not unit and (match := WORD.match(remark)) and match[0].casefold() in (*SECONDS, *OTHER_UNITS):
-            unit, after = match[0], remark[match.end() :].strip(" ,.;:")
+            unit, remainder = match[0], remark[match.end() :].strip(" ,.;:")
     (time,) = numbers([number], "," if "," in number else ".")
     if not number and not first[:1].isdecimal():
         return success, None, rest.strip()
@@ -209,7 +209,7 @@ def entry_of(line: str) -> tuple[bool, float | None, str]:
             f"{first} {unit if unit not in first else ''}".strip() + " is no time in seconds, as y 80 or n 80 s would "
             "have; before a remark that begins with a number write -, as in n - 3 collisions"
         )
-    return success, time, after.strip()
+    return success, time, remainder.strip()
 
 
 def check_readable(source: str, plan: Mapping[str, Any], count: int) -> None:

@@ -43,11 +43,11 @@ def files_of(paths: Iterable[str | Path]) -> list[Path]:
         if inside is None:
             files.append(path)
             continue
-        found = next((list(matching) for pattern in IN_FOLDERS if (matching := [
+        matches = next((list(matching) for pattern in IN_FOLDERS if (matching := [
             file for file in inside if file.match(pattern) and file.is_file()])), [])  # fmt: skip
-        if not found:
+        if not matches:
             raise ConfigurationError(f"{path} has no results: none of {', '.join(IN_FOLDERS)} is in it")
-        files += found[:LARGEST_FOLDER]
+        files += matches[:LARGEST_FOLDER]
     if twice := [file for i, file in enumerate(files) if file in files[:i]]:
         raise ConfigurationError(f"{twice[0]} is named twice")
     return files
@@ -73,11 +73,11 @@ def policy_names(files: Sequence[Path]) -> dict[str, str]:
     """Return a name for the policy of each file, for files that name none: as short as keeps them apart."""
     parts = [_parts(file) for file in files]
     names = {}
-    for file, own in zip(files, parts, strict=True):
+    for file, path_parts in zip(files, parts, strict=True):
         depth = 1
-        while depth < len(own) and sum(other[-depth:] == own[-depth:] for other in parts) > 1:
+        while depth < len(path_parts) and sum(other[-depth:] == path_parts[-depth:] for other in parts) > 1:
             depth += 1
-        names[str(file)] = "/".join(own[-depth:])
+        names[str(file)] = "/".join(path_parts[-depth:])
     return names
 
 

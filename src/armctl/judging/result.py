@@ -20,7 +20,7 @@ Outcome = Literal["better", "worse", "equivalent", "undecided"]
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What is concluded about a policy and another one, the baseline if there is one."""
+    """Outcome of a policy against another one, the baseline if there is one."""
 
     policy: str
     against: str
@@ -53,24 +53,26 @@ class Judgement(Displayed):
     """All of them together, or the only one; None if policies have different numbers of episodes in them."""
     study: Sequence[Table | Remark] = ()
     """Tables and sentences of the sweep or the suite that the cells are."""
-    own: Displayed | None = None
+    played_study: Displayed | None = None
     """Sweep or suite that armctl played, whose tables are shown as they are."""
 
     @functools.cached_property
     def conclusions(self) -> list[Conclusion]:
-        """What is concluded about each pair of the verdict: of all together, or else of each task, corrected."""
+        """Conclusions about each pair of the verdict: of all together, or else of each task, corrected."""
         if self.overall is not None:
             return _conclusions(self.overall)
         return [conclusion for cell in self.by_cell.values() for conclusion in cell]
 
     @functools.cached_property
     def by_cell(self) -> dict[str, list[Conclusion]]:
-        """What is concluded in each task and condition, after Holm's correction for their number."""
-        found = {name: _conclusions(comparison, len(self.cells)) for name, comparison in self.cells.items()}
-        flat = [conclusion for cell in found.values() for conclusion in cell]
+        """Conclusions in each task and condition, after Holm's correction for their number."""
+        uncorrected = {name: _conclusions(comparison, len(self.cells)) for name, comparison in self.cells.items()}
+        flat = [conclusion for cell in uncorrected.values() for conclusion in cell]
         firsts = [_p(conclusion.pair) for conclusion in flat]
         adjusted = iter(holm(firsts) if len(self.cells) > 1 and flat else firsts)
-        return {name: [_weakened(conclusion, next(adjusted)) for conclusion in cell] for name, cell in found.items()}
+        return {
+            name: [_weakened(conclusion, next(adjusted)) for conclusion in cell] for name, cell in uncorrected.items()
+        }
 
     @functools.cached_property
     def not_compared(self) -> list[str]:
@@ -106,8 +108,8 @@ class Judgement(Displayed):
 
     def document(self) -> Document:
         """Return the verdict and the tables of all together, and a table of the tasks and conditions."""
-        if self.own is not None:
-            return self.own.document()
+        if self.played_study is not None:
+            return self.played_study.document()
         if self.overall is not None and len(self.cells) == 1:
             return self.overall.document()
         parts: list[Table | Remark] = []
@@ -161,7 +163,7 @@ class Judgement(Displayed):
 
 
 def _conclusions(comparison: Comparison, times: int = 1) -> list[Conclusion]:
-    """Return what is concluded in a comparison, for so many times the number of pairs."""
+    """Return the conclusions of a comparison, for so many times the number of pairs."""
     facts, names = comparison.facts, [policy.policy for policy in comparison.policies]
     if len(names) < 2 or facts.baseline not in (None, *names):
         return []

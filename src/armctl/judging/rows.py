@@ -19,19 +19,19 @@ class Rows:
     places: Sequence[int]
     """Number of each row, such as its line."""
     unit: str = "line"
-    """What these numbers count."""
+    """Unit that these numbers count."""
     constants: Mapping[str, Any] = field(default_factory=dict)
     """Fields that are the same in all rows, by their name in `armctl.judging.columns.FIELDS`."""
-    known: bool = False
+    is_known_format: bool = False
     """True if the format is known, so that headings are names of fields, and others are of no interest."""
     delimiter: str = ","
-    """What divides the cells of a text file; where it is no comma, a comma may be a decimal sign."""
+    """Separator of the cells of a text file; where it is no comma, a comma may be a decimal sign."""
     notes: Sequence[str] = ()
-    """What was assumed."""
+    """Assumptions of the reader, as sentences."""
     time_limit: int | None = None
     """Largest number of steps of an episode, if the file says so."""
     setup: Mapping[str, str] = field(default_factory=dict)
-    """What has to be equal in all files of a task and condition, by name, in words."""
+    """Values that have to be equal in all files of a task and condition, by name, in words."""
     any_number: bool = False
     """True if it is a log, which may be judged after any trial."""
     return_bounds: tuple[float, float] | None = None

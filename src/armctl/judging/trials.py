@@ -1,4 +1,4 @@
-"""Trials: the rows of all files, as one list of episodes with what is known of each."""
+"""Trials: the rows of all files, as one list of episodes with all that the files say of each."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -38,7 +38,7 @@ class Trial(NamedTuple):
 
     @property
     def key(self) -> tuple[str, str]:
-        """What identifies the episode among those of a policy in a cell."""
+        """Identity of the episode among those of a policy in a cell."""
         return self.seed, self.episode
 
     @property
@@ -54,25 +54,25 @@ class Trials:
     trials: list[Trial] = field(default_factory=list)
     sources: list[str] = field(default_factory=list)
     notes: dict[str, list[str]] = field(default_factory=dict)
-    """What was assumed, with the files that it is about, if it is not about all."""
+    """Assumptions, each with the files that it is about, if it is not about all."""
     training_steps: dict[str, int] = field(default_factory=dict)
     learned: set[str] = field(default_factory=set)
     time_limits: dict[str, int] = field(default_factory=dict)
     """Largest number of steps of an episode by task, if the files say so."""
     setups: dict[tuple[str, str, str], tuple[str, str]] = field(default_factory=dict)
-    """What has to be equal in a task and condition, by its name: its value and the first file."""
+    """Value that has to be equal in a task and condition, by its name, and the first file that has it."""
     return_bounds: Bounds | None = None
     """Possible returns of all tasks together, if the files say so."""
     any_number: bool = False
     """True if a file is a log, whose verdict has to hold at any number of trials."""
 
     def note(self, text: str, source: str | None = None) -> None:
-        """Keep what was assumed."""
+        """Keep an assumption."""
         self.notes.setdefault(text, []).extend([] if source is None else [source])
 
     @property
     def remarks(self) -> list[str]:
-        """What was assumed, each once."""
+        """Assumptions, each once."""
         return [
             f"{listed_files(list(dict.fromkeys(sources)))}: {text}" if sources else text
             for text, sources in self.notes.items()
@@ -90,7 +90,7 @@ def trials_of(
     Raises `ConfigurationError` with file, line and reason for everything that is not clear.
     """
     result = Trials()
-    parts = [rows if rows.known else _laid_out(rows, chosen, policies_in_columns) for rows in parts]
+    parts = [rows if rows.is_known_format else _laid_out(rows, chosen, policies_in_columns) for rows in parts]
     columns = [columns_of(rows, chosen) for rows in parts]
     for rows, places in zip(parts, columns, strict=True):
         require(rows, places)
@@ -98,16 +98,18 @@ def trials_of(
             raise ConfigurationError(f"{rows.source} has no episode: nothing follows the names of its columns")
     scores = [name for name in SCORES if all(name in places for places in columns)]
     if not scores:
-        own = [f"{rows.source}: {', '.join(set(SCORES) & set(at))}" for rows, at in zip(parts, columns, strict=True)]
-        raise ConfigurationError(f"the files share neither success, nor return, nor time: {'; '.join(own)}")
+        scores_by_file = [
+            f"{rows.source}: {', '.join(set(SCORES) & set(at))}" for rows, at in zip(parts, columns, strict=True)
+        ]
+        raise ConfigurationError(f"the files share neither success, nor return, nor time: {'; '.join(scores_by_file)}")
     for rows, places in zip(parts, columns, strict=True):
         left_out = [name for name in SCORES if name in places and name not in scores]
         if left_out:
             result.note(f"{' and '.join(left_out)} not used, as not all files have it.", rows.source)
         kept = {name: place for name, place in places.items() if name not in left_out}
         values, notes = typed_columns(rows, kept, default_policies.get(rows.source, rows.source))
-        said = "" if rows.known else used_in_words(rows, kept)
-        for note in (*rows.notes, *([f"{said}."] if said else []), *notes):
+        usage = "" if rows.is_known_format else used_in_words(rows, kept)
+        for note in (*rows.notes, *([f"{usage}."] if usage else []), *notes):
             result.note(note, rows.source)
         _add(result, rows, values)
     _merge_spellings(result)

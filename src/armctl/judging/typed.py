@@ -60,7 +60,7 @@ def typed_columns(
 
 def _numbers(rows: Rows, name: str, cells: Sequence[Any], sign: str | None) -> list[Any]:
     """Return the numbers of a column, None where there is none."""
-    unclear = "," if rows.delimiter == "," or rows.known else ",."
+    unclear = "," if rows.delimiter == "," or rows.is_known_format else ",."
     label, values = name.replace("_", " "), numbers(cells, sign, unclear)
     for i, value in enumerate(values):
         if isinstance(value, str):
@@ -119,7 +119,7 @@ def _names(rows: Rows, name: str, cells: Sequence[Any]) -> list[str]:
             rows.refuse(i, f"the {name.replace('_', ' ')} is empty")
         is_whole = isinstance(cell, float) and cell.is_integer()
         texts.append(str(int(cell)) if is_whole else " ".join(str(cell).split()))
-    if not rows.known:
+    if not rows.is_known_format:
         _check_summaries(rows, name, texts)
     if name in KEYS and all(map(NUMERAL.fullmatch, texts)):
         return [str(int(text)) if text.isdecimal() else repr(float(text)).removesuffix(".0") for text in texts]

@@ -13,7 +13,7 @@ EMPTY = {"", "nan", "na", "n/a", "none", "null", "-", "\u2013", "?", "#n/a"}
 """Texts of a cell in which nothing was entered."""
 NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?", re.IGNORECASE)
 GROUPS = re.compile(r"(?<=\d)[ \u00a0\u2009\u202f'\u2019](?=\d{3}(?!\d))")
-"""What divides thousands, and is never a decimal sign."""
+"""Separators of thousands that are never a decimal sign."""
 POINTS_OR_COMMAS = re.compile(r"[+-]?\d{1,3}((?P<sign>[.,])\d{3})(\2\d{3})*", re.ASCII)
 UNDIVIDED = re.compile(r"[+-]?\d{4,}", re.ASCII)
 COUNTS = re.compile(r"(\d+)\s*(?:/|of|von|out of)\s*(\d+)", re.IGNORECASE)
@@ -61,7 +61,7 @@ def counts(cell: Any) -> tuple[int, int] | None:
 
 def decimal_signs(cells: Iterable[Any]) -> dict[str, str]:
     """Return a text that shows each decimal sign in use: by itself, `1,234` shows none, and `1.234` neither."""
-    shown: dict[str, str] = {}
+    examples: dict[str, str] = {}
     for cell in cells:
         if isinstance(cell, str) and ("," in cell or "." in cell):
             text = GROUPS.sub("", cell.strip())
@@ -69,10 +69,10 @@ def decimal_signs(cells: Iterable[Any]) -> dict[str, str]:
             last = max(",.", key=text.rfind)
             if grouped and not text.lstrip("+-").startswith("0"):
                 if text.count(last) > 1:
-                    shown.setdefault(",."[last == ","], cell.strip())
+                    examples.setdefault(",."[last == ","], cell.strip())
             else:
-                shown.setdefault(last, cell.strip())
-    return shown
+                examples.setdefault(last, cell.strip())
+    return examples
 
 
 def numbers(cells: Sequence[Any], sign: str | None, unclear: str = ",") -> list[float | str | None]:

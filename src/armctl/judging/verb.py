@@ -42,7 +42,7 @@ def judge(
 
     Raises `ConfigurationError`, with file, line and reason, for everything that is not clear.
     """
-    given, chosen = make_options(Terms, terms), dict(columns or {})
+    judging_terms, chosen = make_options(Terms, terms), dict(columns or {})
     for name in chosen:
         if name not in FIELDS:
             raise unknown_name("field of a trial", name, FIELDS)
@@ -53,19 +53,19 @@ def judge(
         if not paths:
             raise ConfigurationError("there is nothing to judge: name files or folders of results")
         if len(paths) == 1 and not chosen and _is_own(paths[0]):
-            return _of_own(Path(paths[0]), given)
-        own = [Path(path) for path in paths if _is_own(path)]
-        files = files_of(path for path in paths if Path(path) not in own)
+            return _of_own(Path(paths[0]), judging_terms)
+        played_folders = [Path(path) for path in paths if _is_own(path)]
+        files = files_of(path for path in paths if Path(path) not in played_folders)
         parts = [rows for file in files for rows in read_file(file)]
-        if own:
+        if played_folders:
             from armctl.judging.formats.own import read
 
-            parts += [rows for folder in own for rows in read(folder)]
+            parts += [rows for folder in played_folders for rows in read(folder)]
         defaults = policy_names(files)
-    found = trials_of(parts, chosen, defaults, given.policies_in_columns)
-    if len({trial.policy for trial in found.trials}) == 1:
-        found.note("There is one policy only: name the files of another one too.")
-    cells = comparisons_of(found, given)
+    all_trials = trials_of(parts, chosen, defaults, judging_terms.policies_in_columns)
+    if len({trial.policy for trial in all_trials.trials}) == 1:
+        all_trials.note("There is one policy only: name the files of another one too.")
+    cells = comparisons_of(all_trials, judging_terms)
     if len(cells) == 1:
         return Judgement({cells[0][0].name: cells[0][1]}, cells[0][1])
     overall = cells.pop()[1] if cells[-1][0].name == ALL else None
@@ -100,4 +100,4 @@ def _of_own(folder: Path, terms: Terms) -> Judgement:
         cells[name] = concluded(comparison.identity, comparison.env_options, facts, comparison.results, comparison.runs)
     if study.kind == COMPARISON:
         return Judgement(cells, next(iter(cells.values())))
-    return Judgement(cells, None, own=study.result)
+    return Judgement(cells, None, played_study=study.result)

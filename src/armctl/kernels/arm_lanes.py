@@ -1,7 +1,8 @@
 """Forward kinematics of several configurations at once, each in a lane of the processor's vectors.
 
-The loops over lanes have constant bounds and no branches, so that LLVM makes vector instructions of them. Joints and
-their matrices are those of `armctl.kernels.arm`.
+The loops over lanes have constant bounds and no branches, so that LLVM makes vector instructions of them. All but the
+lanes is read before, since LLVM makes none of short loops over arrays that may overlap. Joints and their matrices are
+those of `armctl.kernels.arm`.
 """
 
 import math
@@ -41,7 +42,7 @@ def polynomial(x, c):
 
 @fused
 def sine_and_versine(angle):
-    """Return sin(angle) and 1 - cos(angle), to 4e-16 up to 1e4 rad."""
+    """Return sin(angle) and 1 - cos(angle), to 1e-15 up to 1e4 rad."""
     half_turns = (angle / math.pi + ROUNDING) - ROUNDING
     is_odd = (half_turns - 2 * ((half_turns / 2 + ROUNDING) - ROUNDING)) ** 2
     x = (angle - half_turns * PI_HIGH) - half_turns * PI_LOW

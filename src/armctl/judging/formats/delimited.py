@@ -45,7 +45,7 @@ def read(path: Path) -> list[Rows]:
     if log.FORMAT in header or headings == [*log.COLUMNS]:  # also if the comment was deleted
         log.check_readable(source, header, len(rows))
         task = {"task": str(header["task"])} if header.get("task") else {}
-        return [replace(table, known=True, any_number=True, constants=task)]
+        return [replace(table, is_known_format=True, any_number=True, constants=task)]
     return [sb3.monitor(path, table, header) if "t_start" in header else table]
 
 

@@ -23,9 +23,10 @@ def rows(source: str, document: Any) -> list[Rows] | None:
     if "aggregated" in document and isinstance(document.get("per_episode"), list):
         names = {"episode_ix": "episode", "sum_reward": "return", "success": "success", "seed": "seed"}
         records = [
-            {names[key]: one[key] for key in names if one.get(key) is not None} for one in document["per_episode"]
+            {names[key]: episode[key] for key in names if episode.get(key) is not None}
+            for episode in document["per_episode"]
         ]
-        return [rows_of_records(source, records, "episode", known=True, constants={"kind": "learned"})]
+        return [rows_of_records(source, records, "episode", is_known_format=True, constants={"kind": "learned"})]
     if not isinstance(document.get("per_task"), list) or "overall" not in document:
         return None
     parts = []
@@ -34,6 +35,6 @@ def rows(source: str, document: Any) -> list[Rows] | None:
         columns = zip(metrics["successes"], metrics["sum_rewards"], strict=True)
         records = [{"episode": i, "success": won, "return": reward} for i, (won, reward) in enumerate(columns)]
         only = {} if len(document["per_task"]) == 1 else {"task": name}
-        about = {"known": True, "constants": {**only, "kind": "learned"}, "notes": [NOTE]}
+        about = {"is_known_format": True, "constants": {**only, "kind": "learned"}, "notes": [NOTE]}
         parts.append(rows_of_records(source, records, "episode", **about))
     return parts

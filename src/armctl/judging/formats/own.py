@@ -27,7 +27,7 @@ def read(folder: Path) -> list[Rows]:
         parts.append(
             Rows(
                 source=str(folder), headings=list(COLUMNS), values=values, places=range(1, len(values) + 1),
-                unit="row", known=True, constants={"task": task or comparison.env} | condition,
+                unit="row", is_known_format=True, constants={"task": task or comparison.env} | condition,
                 time_limit=facts.time_limit, return_bounds=facts.return_bounds, setup=_setup(facts),
             )
         )  # fmt: skip

@@ -19,9 +19,12 @@ def rows(source: str, document: Any) -> list[Rows] | None:
     return [
         rows_of_records(
             source,
-            [{name: one[name] for name in ("episode", "seed", "success", "steps")} for one in task["episode_results"]],
+            [
+                {name: episode[name] for name in ("episode", "seed", "success", "steps")}
+                for episode in task["episode_results"]
+            ],
             "episode",
-            known=True,
+            is_known_format=True,
             time_limit=limit,
             constants={"policy": document["policy"], **({"task": task["task"]} if len(document["tasks"]) > 1 else {})},
         )

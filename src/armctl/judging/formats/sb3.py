@@ -48,7 +48,7 @@ def read(path: Path) -> list[Rows]:
     note = f"the last of {expected[0]} evaluations, after {steps:,} steps of training."
     rows = Rows(
         source=source, headings=[ARRAYS[name] for name in names], values=values, places=range(1, len(values) + 1),
-        unit="episode", known=True, notes=[note], constants={"training_steps": steps, "kind": "learned"},
+        unit="episode", is_known_format=True, notes=[note], constants={"training_steps": steps, "kind": "learned"},
     )  # fmt: skip
     return [in_rl_zoo(path, rows)]
 
@@ -60,7 +60,9 @@ def monitor(path: Path, rows: Rows, header: dict[str, Any]) -> Rows:
     env = header.get("env_id")
     note = "all episodes count alike; those of a training would be of a policy that changed."
     task = {} if env in (None, "None") else {"task": env}
-    return in_rl_zoo(path, replace(rows, headings=headings, known=True, notes=[*rows.notes, note], constants=task))
+    return in_rl_zoo(
+        path, replace(rows, headings=headings, is_known_format=True, notes=[*rows.notes, note], constants=task)
+    )
 
 
 def in_rl_zoo(path: Path, rows: Rows) -> Rows:

@@ -16,16 +16,16 @@ def rows(source: str, document: Any) -> list[Rows] | None:
         return None
     parts = []
     for task in document["tasks"]:
-        failed = [one for one in task["episodes"] if one.get("failure_reason")]
+        failed = [episode for episode in task["episodes"] if episode.get("failure_reason")]
         records = [
-            {"episode": one["episode_id"], "steps": one.get("steps"), **one["metrics"]}
-            for one in task["episodes"]
-            if not one.get("failure_reason")
+            {"episode": episode["episode_id"], "steps": episode.get("steps"), **episode["metrics"]}
+            for episode in task["episodes"]
+            if not episode.get("failure_reason")
         ]
-        reasons = sorted({str(one["failure_reason"]) for one in failed})
+        reasons = sorted({str(episode["failure_reason"]) for episode in failed})
         note = f"{len(failed)} episodes of {task['task']} that the harness lost are left out, as vla-eval does"
         notes = [f"{note}: {', '.join(reasons)}."] if failed else []
         only = {} if len(document["tasks"]) == 1 else {"task": task["task"]}
-        about = {"known": True, "notes": notes, "constants": {**only, "kind": "learned"}}
+        about = {"is_known_format": True, "notes": notes, "constants": {**only, "kind": "learned"}}
         parts.append(rows_of_records(source, records, "episode", **about))
     return parts
